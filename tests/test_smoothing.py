@@ -398,6 +398,23 @@ def test_contradicted_frame_keeps_its_tracked_pose_as_contradicted() -> None:
     assert np.abs(others[:, :3]).max() < np.deg2rad(0.15)
 
 
+def test_contradicted_frames_do_not_bend_the_others() -> None:
+    """The tracker followed another body for eleven frames, from landmarks that the first frame has in common."""
+    frames, wrong = make_tracks(), range(1, 12)
+    drift = Rotation.from_rotvec([0.0, 0.02, 0.0])
+    for k in wrong:
+        there, other = truth(k), RigidTransform.from_rotation(drift**k)
+        seen = tuple(
+            see(other * there, c, RIG, 0.3, np.random.default_rng(k), len(POINTS) * c) for c in range(len(RIG))
+        )
+        pose = replace(frames[k].pose, world_from_object=other * there, status=FrameStatus.CONTRADICTED)
+        frames[k] = replace(frames[k], pose=pose, observations=seen)
+    found = smooth_tracks(frames, RIG)
+    assert found.status is Status.OK
+    assert {found.poses[k].status for k in wrong} == {FrameStatus.CONTRADICTED}
+    assert np.abs(errors(found)[wrong.stop :, :3]).max() < np.deg2rad(0.15)
+
+
 def test_track_keeps_no_images() -> None:
     image = np.zeros((480, 640, 3), np.uint8)
     frames = FrameSet(3, 0.1, (None,) * 3, (image,) * 3, (None,) * 3)

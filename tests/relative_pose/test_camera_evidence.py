@@ -24,6 +24,7 @@ from sylpose.relative_pose.camera_evidence import (
     _sampson,
     compare_motions,
     compute_f_ratio,
+    transfer_motion,
 )
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.terms import TermData, locate_object
@@ -98,6 +99,29 @@ def test_good_rigs_do_not_contradict_themselves(cameras: int) -> None:
     ratios = [get_f_ratio(evaluate(*make_pair(cameras, seed)[:2])) for seed in range(8)]
     assert np.median(ratios) < 1.0
     assert max(ratios) < 4.0
+
+
+def test_clock_error_is_a_nuisance() -> None:
+    """A camera that sees a fifth more of the motion contradicts it, unless its clock may be off by as much."""
+    strict, lenient, late = list[float](), list[float](), list[float]()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        rig, body = dome(2, 1.5, 1000.0), ellipsoid((0.15, 0.12, 0.1))
+        rotvec, shift = rng.normal(size=3), rng.normal(size=3)
+        rotvec, shift = 0.15 * rotvec / np.linalg.norm(rotvec), 0.02 * shift / np.linalg.norm(shift)
+
+        def share(part: float, *, rotvec: FloatArray = rotvec, shift: FloatArray = shift) -> RigidTransform:
+            return RigidTransform.from_components(part * shift, Rotation.from_rotvec(part * rotvec))
+
+        for part, found in ((1.2, (strict, lenient)), (2.0, (late,))):
+            matches = simulate_matches(rig, body, share(part), rng=rng, per_camera=80, noise_px=NOISE_PX).matches
+            term, center = make_terms(rig, matches)[0], np.zeros(3)
+            rotation, translation = transfer_motion(term, center, share(1.0).rotation.as_matrix(), shift)
+            for values, sd in zip(found, (0.0, 0.2) if part == 1.2 else (0.2,), strict=True):
+                values.append(compare_motions(term.x, term.y, term.focal, rotation, translation, sd)[3])
+    assert np.median(strict) > 20.0
+    assert np.median(lenient) < 5.0
+    assert np.median(late) > 50.0
 
 
 @pytest.mark.parametrize("count", [12, 20, 28])

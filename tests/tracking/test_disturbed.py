@@ -41,7 +41,7 @@ def test_camera_with_missing_frames(clip: Clip) -> None:
         assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
         error = compute_pose_errors(tracked, clip.truth)
         assert error[:, 0].max() < HALF_DEGREE
-        assert error[:, 1].max() < 2.8
+        assert error[:, 1].max() < 3.2
         seen = inliers(tracked)[:, 1]
         assert not seen[[0, 4, 5]].any()
         assert seen[7] > 20

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sylpose.features.patches import SIDE, Patches, sample_patches
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.matches import STATIC_PX
 from sylpose.rig import Camera
@@ -53,16 +54,20 @@ class Features:
         normalized: (n, 2) the same points, undistorted, in normalized coordinates.
         descriptors: (n, 128) float32 RootSIFT, unit length.
         faint: (n,) True for keypoints below the normal contrast threshold; all False by default.
+        patches: (n, s, s) what the image shows around them (`patches`); unknown by default.
     """
 
     pixels: FloatArray
     normalized: FloatArray
     descriptors: NDArray[np.float32]
     faint: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
+    patches: Patches = field(default_factory=lambda: np.zeros((0, SIDE, SIDE), np.uint8))
 
     def __post_init__(self) -> None:
-        if not len(self.faint):
-            object.__setattr__(self, "faint", np.zeros(len(self.pixels), bool))
+        for name in ("faint", "patches"):
+            default = getattr(self, name)
+            if not len(default):
+                object.__setattr__(self, name, np.zeros((len(self.pixels), *default.shape[1:]), default.dtype))
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -160,10 +165,11 @@ def detect_features(
         left, right = max(columns[0] - CROP_MARGIN_PX, 0), min(columns[-1] + 1 + CROP_MARGIN_PX, right)
         crop_mask = mask[top:bottom, left:right].astype(np.uint8) * 255
     crop = image[top:bottom, left:right]
-    gray = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
-    corner = step * np.array([left, top])
+    converted = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else crop
+    gray: Image = np.ascontiguousarray(converted, np.uint8)
+    corner, full, full_step = step * np.array([left, top]), gray, step
     if max_pixels is not None and gray.size > max_pixels:
-        size, gray = np.array(gray.shape[::-1]), reduce_image(crop, max_pixels)
+        size, gray = np.array(gray.shape[::-1]), reduce_image(gray, max_pixels)
         step = step * size / gray.shape[::-1]
         if crop_mask is not None:
             crop_mask = _cv2.resize(crop_mask, gray.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -179,7 +185,8 @@ def detect_features(
     pixels += 0.5 * (step - 1.0) - step * SIFT_BIAS_PX
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
     is_faint = RESPONSE_SCALE * np.array([keypoint.response for keypoint in keypoints]) < MIN_CONTRAST
-    return Features(pixels, camera.normalize_to_grid(pixels), root.astype(np.float32), is_faint)
+    patches = sample_patches(full, pixels, full_step, corner + 0.5 * (full_step - 1.0))
+    return Features(pixels, camera.normalize_to_grid(pixels), root.astype(np.float32), is_faint, patches)
 
 
 def match_features(a: Features, b: Features, ratio: float = 0.8, max_displacement_px: float = np.inf) -> IntArray:

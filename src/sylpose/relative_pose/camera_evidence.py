@@ -12,9 +12,9 @@ late, another body. No noise level is assumed: the camera's own fit measures it,
 
 (R, t) is the motion in question, as the tracker found it: its own error is part of the excess. Residuals are Sampson
 distances in pixels of the same matches in both fits. δ are errors that users must expect: a rotation of the camera, its
-focal length, its rotation between the two images, and in recordings its clock. Matches whose errors are alike in a part of the image (edges along
-which features slide, a mask, compression) are fewer measurements than matches: J_c and RSS_c are divided by the design
-effect of the camera's own residuals.
+focal length, its rotation between the two images, and in recordings its clock. Matches whose errors are alike in a part of
+the image (edges along which features slide, a mask, compression) are fewer measurements than matches: J_c and RSS_c are
+divided by the design effect of the camera's own residuals.
 
 The own fit is one of least trimmed squares that begins with the matches that the joint motion explains best. Another body
 may have more matches; that is no contradiction while the object's matches agree.

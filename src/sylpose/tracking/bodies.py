@@ -28,7 +28,7 @@ from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Camera, Rig
 from sylpose.status import Status
-from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
+from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
     REGION_MARGIN,
     CameraPairs,
@@ -342,7 +342,7 @@ def find_rigid_motion(camera: Camera, pair: FrameMatches, options: TrackingOptio
         (n,) the static matches; whether the others move as a rigid body, by more than the noise. Of mismatches, and of
         keypoints that scatter with compression, at most a few have common epipolar lines.
     """
-    is_static = find_static(pair, compute_static_px(estimate_jitter(pair)))
+    is_static = find_static(pair, estimate_jitter(pair))
     x, y = pair.pixels_i[~is_static], pair.pixels_j[~is_static]
     if len(x) < MIN_MATCHES or np.median(np.linalg.norm(y - x, axis=1)) < options.min_displacement_px:
         return is_static, False

@@ -26,9 +26,8 @@ from sylpose.relative_pose.solver import fit_terms, fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
 from sylpose.rig import Camera
 from sylpose.status import FrameStatus, Status
-from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
+from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
-    BACKGROUND_PX,
     CameraFrame,
     CameraPairs,
     FrameMatches,
@@ -49,9 +48,9 @@ from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
 
-# Keypoints displaced by less than `BACKGROUND_PX` may be static. They define the noise if more than this share of them is
-# displaced by less than half of it (choice).
-MIN_STATIC_RATIO = 0.65
+# Keypoints displaced by less than the first value, pixels, may be static. They define the noise if more than the second one,
+# a share of them, is displaced by less than half of it (choice).
+MAX_JITTER_PX, MIN_STATIC_RATIO = 4.0, 0.65
 # Median of the Rayleigh distribution in standard deviations (derived).
 RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 # Unknowns of a motion, and of each camera's surface (derived).
@@ -138,9 +137,9 @@ def is_continuing_motion(earlier: RigidTransform | None, later: RigidTransform |
 def estimate_jitter(pair: FrameMatches) -> float:
     """Estimate the scatter of static keypoints in each direction, pixels; a minimum if almost none is static."""
     displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    near = displacement[displacement < BACKGROUND_PX]
+    near = displacement[displacement < MAX_JITTER_PX]
     # A slowly moving object shows all these displacements equally often.
-    is_slow = np.count_nonzero(near < BACKGROUND_PX / 2) <= MIN_STATIC_RATIO * len(near)
+    is_slow = np.count_nonzero(near < MAX_JITTER_PX / 2) <= MIN_STATIC_RATIO * len(near)
     return MIN_ERROR_PX if is_slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, MIN_ERROR_PX)
 
 
@@ -160,9 +159,7 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
     moving, own_reports = list[list[FrameMatches]](), list[InitialMatches]()
     for c, own in zip(executor.local, first_pairs, strict=True):
         jitter = [estimate_jitter(pair) for pair in own]
-        selected = [
-            pair.subset(~find_static(pair, compute_static_px(px))) for pair, px in zip(own, jitter, strict=True)
-        ]
+        selected = [pair.subset(~find_static(pair, px)) for pair, px in zip(own, jitter, strict=True)]
         moving.append(omit_empty(selected))
         reports = [
             _report_moving(part, pair, px, c, rig.cameras[c])

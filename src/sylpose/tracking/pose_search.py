@@ -309,8 +309,10 @@ def solve_pose(
         if (velocity.predict_offset_error(frame.time_offsets, radius) > TREMBLE_SD * distances).any():
             twist = np.full(6, np.nan)
     if context.method in MAXIMUM_LIKELIHOOD and not solution.is_static:
-        now = {"number": frame.number, "time": frame.time, "time_offsets": frame.time_offsets}
-        solved = replace(last, **now, world_from_object=guess, twist=twist)
+        number, offsets = frame.number, frame.time_offsets
+        solved = replace(
+            last, number=number, time=frame.time, time_offsets=offsets, world_from_object=guess, twist=twist
+        )
         own_agreements = [
             add_evidence(agreement, camera.pairs, camera.current, context.rig.cameras[c], c, solved, known_frames)
             for agreement, camera, c in zip(own_agreements, cameras, context.executor.local, strict=True)

@@ -19,8 +19,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
+from sylpose.features.patches import sample_patches
 from sylpose.features.search_windows import SearchWindows
 from sylpose.features.sift import (
+    FULL_RESOLUTION,
     MAX_FAINT_FEATURES,
     MAX_FEATURES,
     Features,
@@ -40,7 +42,7 @@ from sylpose.landmarks.landmark_filter import (
     create_landmarks,
     update_landmarks,
 )
-from sylpose.matches import MAX_STATIC_PX, STATIC_PX
+from sylpose.matches import STATIC_PX
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
 from sylpose.tracking.camera_side.frame import (
@@ -55,6 +57,7 @@ from sylpose.tracking.camera_side.frame import (
     SearchArea,
     collect_detected_features,
     collect_features,
+    compute_static_px,
     drop_background,
     find_background,
     mark_background,
@@ -69,8 +72,6 @@ from sylpose.tracking.joint_side.joint_state import AVERAGING_FRAMES, KnownMotio
 from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS, ObjectModel
 from sylpose.tracking.reports import PoseAgreement, TrackingReport
 
-# A feature has moved if displaced by so many standard deviations of the camera's keypoint noise (choice).
-STATIC_SIGMAS = 5.0
 # Maximum number of remembered background features (choice).
 MAX_BACKGROUND_FEATURES = 8000
 # Offsets at which matches occur by chance only, in search radii from the expected place (choice).
@@ -236,7 +237,8 @@ def track_anchor(
         rows = rows[mask[row, column]]
     pixels = tracks.pixels[rows]
     old = anchor.frame.features
-    features = Features(pixels, camera.normalize_to_grid(pixels), old.descriptors[rows], old.faint[rows])
+    patches = sample_patches(image, pixels, FULL_RESOLUTION, np.zeros(2))
+    features = Features(pixels, camera.normalize_to_grid(pixels), old.descriptors[rows], old.faint[rows], patches)
     return TrackedFeatures(anchor, rows, features, anchor.tracks.pixels[rows], tracks, image)
 
 
@@ -256,11 +258,6 @@ def append_new_features(
     if len(b) > n_wanted:
         b = b.subset(np.arange(n_wanted) * len(b) // n_wanted)
     return Features.concatenate([a, b])
-
-
-def compute_static_px(noise_px: float) -> float:
-    """Return the displacement, pixels, below which keypoints of this noise are static."""
-    return float(np.clip(STATIC_SIGMAS * noise_px, STATIC_PX, MAX_STATIC_PX))
 
 
 def _make_depth_prior(surface: FloatArray, model: ObjectModel) -> DepthPrior:
@@ -367,7 +364,7 @@ class CameraTracker:
     @property
     def static_px(self) -> float:
         """Displacements below this are within the camera's keypoint noise, pixels."""
-        return compute_static_px(self.noise_px)
+        return compute_static_px(self.noise_px, STATIC_PX)
 
     @property
     def is_large(self) -> bool:
@@ -503,7 +500,7 @@ class CameraTracker:
 
     def create_frame(self, features: Features) -> CameraFrame:
         """Create a frame to be solved; features at the place of known background are marked."""
-        return CameraFrame(features, self.find_known_background(features), self.table, static_px=self.static_px)
+        return CameraFrame(features, self.find_known_background(features), self.table, noise_px=self.noise_px)
 
     def create_empty_frame(self) -> CameraFrame:
         """Create a frame without features."""

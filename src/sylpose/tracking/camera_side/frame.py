@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.features.patches import find_unmoved
 from sylpose.features.sift import Features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import rotation_matrix_of
@@ -21,9 +22,9 @@ from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, LandmarkTable
-from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
+from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidence, compare_motions
+from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
@@ -31,11 +32,9 @@ from sylpose.rig import Camera
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
 from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
-# A feature that is static where the object's surface moved by this many pixels is background (choice).
-BACKGROUND_PX = 4.0
-# Low-contrast features are localized less precisely: they are static within `BACKGROUND_PX`, if that is at most this share
-# of the motion of a point on the object (choice).
-MAX_STATIC_RATIO = 0.2
+# Features displaced by less than this, in standard deviations of the camera's noise, are static, and by less than the second
+# value, pixels, in any case (choice).
+STATIC_SIGMAS, MIN_STATIC_PX = 5.0, 0.5
 # Half length of a landmark's search range, in standard deviations of its depth (choice).
 DEPTH_SEARCH_SDS = 2.0
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
@@ -109,14 +108,19 @@ class CameraFrame:
         background: (n,) which features were static where the object moved; filled in during matching.
         table: the camera's landmarks.
         landmark_ids: (n,) the features' landmarks in it, once the frame is solved.
-        static_px: displacements below this are within the keypoint noise, pixels.
+        noise_px: of the camera's keypoints, pixels; 0: unknown.
     """
 
     features: Features
     background: BoolArray
     table: LandmarkTable
     landmark_ids: IntArray = field(default_factory=_no_indices)
-    static_px: float = STATIC_PX
+    noise_px: float = 0.0
+
+    @property
+    def static_px(self) -> float:
+        """Keypoints displaced by less than this may be static, pixels."""
+        return compute_static_px(self.noise_px, STATIC_PX)
 
     @property
     def landmarks(self) -> Landmarks:
@@ -128,7 +132,7 @@ class CameraFrame:
         features = Features.concatenate([self.features, new.features])
         background = np.concatenate([self.background, new.background])
         ids = np.concatenate([self.landmark_ids, new.landmark_ids])
-        return CameraFrame(features, background, self.table, ids, self.static_px)
+        return CameraFrame(features, background, self.table, ids, self.noise_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +145,7 @@ class FrameMatches:
         indices: (n, 2) into the earlier and the current frame's features.
         pixels_i, pixels_j: (n, 2) as recorded.
         normalized_i, normalized_j: (n, 2).
+        is_unmoved: (n,) whether the later image shows the same at the earlier position (`features.patches`).
     """
 
     reference: int
@@ -150,12 +155,15 @@ class FrameMatches:
     pixels_j: FloatArray
     normalized_i: FloatArray
     normalized_j: FloatArray
+    is_unmoved: BoolArray
 
     @classmethod
     def from_indices(cls, reference: int, earlier: CameraFrame, later: Features, indices: IntArray) -> FrameMatches:
         """Build the matches from feature indices (n, 2)."""
         a, (i, j) = earlier.features, indices.T
-        return cls(reference, earlier, indices, a.pixels[i], later.pixels[j], a.normalized[i], later.normalized[j])
+        is_unmoved = find_unmoved(a.patches[i], a.pixels[i], later.patches[j], later.pixels[j])
+        points = a.pixels[i], later.pixels[j], a.normalized[i], later.normalized[j]
+        return cls(reference, earlier, indices, *points, is_unmoved)
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -164,8 +172,11 @@ class FrameMatches:
         """Return the matches where the mask (n,) is True."""
         rows = np.flatnonzero(mask)
         points = self.pixels_i, self.pixels_j, self.normalized_i, self.normalized_j
-        indices = self.indices.take(rows, axis=0)
-        return FrameMatches(self.reference, self.earlier, indices, *(own.take(rows, axis=0) for own in points))
+        pixels_i, pixels_j, normalized_i, normalized_j = (own.take(rows, axis=0) for own in points)
+        indices, is_unmoved = self.indices.take(rows, axis=0), self.is_unmoved[rows]
+        return FrameMatches(
+            self.reference, self.earlier, indices, pixels_i, pixels_j, normalized_i, normalized_j, is_unmoved
+        )
 
     @property
     def landmarks(self) -> Landmarks:
@@ -231,11 +242,10 @@ def match_frames(
         indices: (m, 2) matches of features, if already known.
     """
     a, b = earlier.features, current.features
-    indices = match_features(a, b) if indices is None else indices
-    known = earlier.background[indices[:, 0]]
-    is_still = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < current.static_px
-    current.background[indices[known & is_still, 1]] = True
-    return FrameMatches.from_indices(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
+    matches = FrameMatches.from_indices(reference, earlier, b, match_features(a, b) if indices is None else indices)
+    i, j = matches.indices.T
+    current.background[j[earlier.background[i] & find_static(matches, current.noise_px)]] = True
+    return matches.subset(~earlier.background[i] & ~current.background[j])
 
 
 class SearchArea(NamedTuple):
@@ -280,9 +290,15 @@ def select_inliers(pairs: Pairs, weights: Sequence[FloatArray]) -> list[FrameMat
     return omit_empty(pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True))
 
 
-def find_static(pair: FrameMatches, static_px: float = STATIC_PX) -> BoolArray:
-    """Return which matches (n,) are static in the image."""
-    return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < static_px)
+def compute_static_px(noise_px: float, least: float = MIN_STATIC_PX) -> float:
+    """Return the displacement, pixels, below which features of this noise are static."""
+    return float(np.clip(STATIC_SIGMAS * noise_px, least, MAX_STATIC_PX))
+
+
+def find_static(pair: FrameMatches, noise_px: float = 0.0) -> BoolArray:
+    """Return which matches (n,) are static in the image, at most displaced by noise of this standard deviation."""
+    displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+    return np.asarray((displacement < compute_static_px(noise_px)) | pair.is_unmoved)
 
 
 def measure_displacement(landmarks: Landmarks, pixels: FloatArray) -> FloatArray:
@@ -292,10 +308,10 @@ def measure_displacement(landmarks: Landmarks, pixels: FloatArray) -> FloatArray
 
 def find_background(pair: FrameMatches, current: CameraFrame, camera: Camera, motion: KnownMotion) -> BoolArray:
     """Return which matches (n,) are static where a point on the object moved."""
-    is_background = find_static(pair, current.static_px)
+    is_background = find_static(pair, current.noise_px)
     at = np.flatnonzero(is_background)
     moved = _min_motion_px(pair, at, camera, motion)
-    is_background[at] = moved > BACKGROUND_PX - STATIC_PX + current.static_px
+    is_background[at] = moved > 2.0 * compute_static_px(current.noise_px)
     return is_background
 
 
@@ -309,14 +325,7 @@ def drop_background(pairs: Pairs, current: CameraFrame, camera: Camera, motion: 
     """
     remaining = []
     for pair in pairs:
-        displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-        background = (displacement < BACKGROUND_PX) & ~pair.landmarks.has_moved
-        if not background.any():
-            remaining.append(pair)
-            continue
-        at = np.flatnonzero(background)
-        moved = _min_motion_px(pair, at, camera, motion)
-        background[at] = (moved > BACKGROUND_PX) & (displacement[at] < np.maximum(MAX_STATIC_RATIO * moved, STATIC_PX))
+        background = find_background(pair, current, camera, motion) & ~pair.landmarks.has_moved
         mark_background(pair, current, background)
         remaining.append(pair.subset(~background))
     return omit_empty(remaining)
@@ -605,7 +614,7 @@ def add_evidence(
     pose = solved.camera_from_object(camera, c)
     earlier = {pair.reference: known_frames[pair.reference].camera_from_object(camera, c) for pair in pairs}
     moving = [
-        pair.subset(~find_static(pair, current.static_px)) for pair in pairs if earlier[pair.reference] is not None
+        pair.subset(~find_static(pair, current.noise_px)) for pair in pairs if earlier[pair.reference] is not None
     ]
     usable = [pair for pair in moving if len(pair) >= MIN_EVIDENCE_MATCHES]
     if pose is None or not usable:
@@ -704,9 +713,9 @@ def find_moved(inliers: Pairs, landmarks: Landmarks, match_weights: MatchWeights
     displacement = measure_displacement(
         landmarks, np.concatenate([np.empty((0, 2)), *(pair.pixels_j for pair in inliers)])
     )
-    return np.asarray(
-        landmarks.has_moved | ((displacement > static_px) & (residual < MAX_UNEXPLAINED_RATIO * displacement))
-    )
+    is_unmoved = np.concatenate([np.empty(0, bool), *(pair.is_unmoved for pair in inliers)])
+    moves = (displacement > static_px) & (residual < MAX_UNEXPLAINED_RATIO * displacement) & ~is_unmoved
+    return np.asarray(landmarks.has_moved | moves)
 
 
 def _find_oldest_origins(index: IntArray, landmarks: Landmarks) -> FloatArray:
