@@ -104,12 +104,15 @@ def test_terminal_output(two: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_missing_object_is_named(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session = Path(shutil.copytree(two, tmp_path / "session"))
+    boxes = tomllib.loads((session / "boxes.toml").read_text())
     (session / "boxes.toml").unlink()
-    for name, value in (("mug", 0), ("tray", 255)):
+    for name in ("mug", "tray"):
         (session / "masks" / name).mkdir(parents=True)
-        for camera in ("cam_0", "cam_1", "cam_2"):
-            mask = np.full((360, 480), value, np.uint8)
+        for camera, (left, top, width, height) in boxes[name].items():
+            mask = np.zeros((360, 480), np.uint8)
             mask[:4, :4] = 255
+            if name == "tray":
+                mask[max(top - 20, 0) : top + height + 20, max(left - 20, 0) : left + width + 20] = 255
             cv2.imwrite(str(session / "masks" / name / f"{camera}.png"), mask)
     assert main(["track", str(session)]) == 0
     _, err = capsys.readouterr()

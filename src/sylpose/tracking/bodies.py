@@ -434,7 +434,8 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, m
         others = [other.motion for other in windows[number].bodies if other is not body]
         n = max((_count_rival(context, body.motion, other) for other in others), default=0)
         n_shared, n_rivals = n_shared + (body.motion.n_inliers if n else 0), n_rivals + n
-    n_later = max((_count_matches(other) for other in moving if _are_different(windows, chain, other)), default=0)
+    # One that moves at other times, and that neither features nor place link with it.
+    n_later = max((_count_matches(other) for other in moving if not set(chain) & set(other)), default=0)
     sizes = {k: body.motion.n_inliers * body.motion.is_significant for k, body in chain.items()}
     clear = {k: sizes[k] for k, body in chain.items() if body.is_clear(context.options)} or sizes
     # While a body comes in, little of it is visible.
@@ -457,31 +458,6 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, m
 
 def _count_matches(chain: Chain) -> int:
     return sum(body.motion.n_inliers for body in chain.values())
-
-
-def _are_different(windows: Sequence[Window], chain: Chain, other: Chain) -> bool:
-    """Return whether two bodies never move in the same window, and one of them rests while the other moves.
-
-    Otherwise they may be one body that was not recognized.
-    """
-    if set(chain) & set(other):
-        return False
-    early, late = (chain, other) if min(chain) < min(other) else (other, chain)
-    before, after = early[max(early)], late[min(late)]
-    rests_after = _measure_rest(before.last, before, 1, windows[max(late)].first)
-    rests_before = _measure_rest(windows[min(late)].first, after, 0, windows[min(early)].first)
-    return max(rests_after, rests_before) > MIN_LINK_RATIO
-
-
-def _measure_rest(frame: Frame, body: WindowBody, side: int, other: Frame) -> float:
-    """Return which share of a body's features in a frame, on a side of its matches, is at the same place in another."""
-    n_still = n = 0
-    for own, at, pairs in zip(frame.cameras, other.cameras, body.motion.inliers, strict=True):
-        features = own.features.subset(np.unique(_collect_indices(pairs, side)))
-        i, j = match_features(features, at.features).T
-        n_still += int((np.linalg.norm(features.pixels[i] - at.features.pixels[j], axis=1) < own.static_px).sum())
-        n += len(features)
-    return n_still / max(n, 1)
 
 
 def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowBody) -> tuple[Frame, CameraPairs]:
