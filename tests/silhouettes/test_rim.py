@@ -60,6 +60,17 @@ def test_no_rim_out_of_view() -> None:
         assert find_rim(mesh, RIG[0], RigidTransform.from_translation(-np.array(shift))) is None
 
 
+@pytest.mark.parametrize("camera", [RIG[0], BENT], ids=["pinhole", "bent lens"])
+@pytest.mark.parametrize("depth", [1e-2, 1e-4, 1e-7])
+def test_no_rim_of_a_mesh_that_touches_the_camera(camera: Camera, depth: float) -> None:
+    """A vertex next to the camera's plane would be billions of pixels away, along edges of as many points."""
+    corners = np.array([[1.0, 0.0, depth], [0.2, 0.3, 1.5], [-0.3, 0.1, 3.0], [0.1, -0.3, 2.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    mesh = Mesh(camera.camera_from_world.inv().apply(corners), faces)
+    assert find_rim(mesh, camera, RigidTransform.identity()) is None
+    assert draw_mask(mesh, camera, mesh.vertices).shape == camera.size[::-1]
+
+
 def test_masks_are_those_of_renderings() -> None:
     for mesh in (make_bracket(), make_vase()):
         for seed in range(4):

@@ -116,7 +116,7 @@ def _fill_mask(pixels: FloatArray, faces: IntArray, mask: BoolArray) -> None:
                 if min(py, qy) <= y <= max(py, qy):
                     x = px + (y - py) / (qy - py) * (qx - px) if py != qy else px
                     left, right = min(left, x), max(right, x)
-            for u in range(int(np.ceil(max(left, 0.0))), int(min(right, width - 1.0)) + 1):
+            for u in range(int(np.ceil(min(max(left, 0.0), width))), int(min(max(right, -1.0), width - 1.0)) + 1):
                 mask[y, u] = True
 
 

@@ -23,6 +23,9 @@ MARGIN = 4
 OUTSIDE_PX = 1.0
 # Pixels from one point of the rim to the next (derived: the pixels between which residuals are measured).
 SPACING_PX = 1.0
+# A mesh that reaches farther out of the image, in image sizes, reaches nearly behind the camera (choice: lens models end
+# before).
+MAX_REACH = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +67,10 @@ class Rim:
 
 
 def find_rim(mesh: Mesh, camera: Camera, world_from_object: RigidTransform) -> Rim | None:
-    """Find the rim of a mesh; None if the mesh is not in the image, or reaches behind the camera."""
+    """Find the rim of a mesh; None if the mesh is not in the image, or reaches (nearly) behind the camera."""
     vertices = world_from_object.apply(mesh.vertices)
     pixels = camera.project(vertices)
-    if not np.isfinite(pixels).all():
+    if not (np.abs(pixels) < MAX_REACH * max(camera.size)).all():  # NaN, too
         return None
     first = np.clip(np.floor(pixels.min(axis=0)) - MARGIN, 0, camera.size).astype(int)
     last = np.clip(np.ceil(pixels.max(axis=0)) + MARGIN + 1, 0, camera.size).astype(int)
