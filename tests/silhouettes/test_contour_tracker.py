@@ -15,6 +15,7 @@ from sylpose.silhouettes.contour_tracker import ContourTracker, SampledBackgroun
 from sylpose.silhouettes.contours import Outline, align_contours
 from sylpose.silhouettes.rendering import draw_mask
 from sylpose.simulate import arc
+from sylpose.tracking.options import TrackingOptions
 from tests.silhouettes.test_contours import RIG, draw_pose, make_bracket
 
 FOUR = arc(4, 70, 1.5, 400, (240, 180), height=0.4)
@@ -65,6 +66,29 @@ def test_cameras_that_disagree() -> None:
     for k in range(3):
         (frame,) = tracker.step(draw_frame(mesh, FOUR, k))
         assert not frame.pose.is_measured
+
+
+def test_contradicted_poses_are_no_evidence_for_others() -> None:
+    """Neither backgrounds nor later frames rest on them; the reason contains the ratio that exceeds its limit."""
+    mesh, cameras = make_bracket(), list(FOUR)
+    off = RigidTransform.from_components([0.01, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, np.radians(0.5)]))
+    for c, wrong in ((2, off), (3, off.inv())):
+        cameras[c] = replace(cameras[c], camera_from_world=wrong * cameras[c].camera_from_world)
+
+    class UnusedBackground(SampledBackground):
+        def __init__(self) -> None: ...
+
+        def add_pose(self, frame: int, *_: object) -> None:
+            pytest.fail(f"frame {frame}")
+
+    tracker = ContourTracker(FOUR, mesh, [UnusedBackground() for _ in FOUR], TrackingOptions(max_f_ratio=0.2))
+    for k in range(2):
+        (frame,) = tracker.step(draw_frame(mesh, Rig(cameras, FOUR.unit), k))
+        assert frame.pose.status is FrameStatus.CONTRADICTED
+        assert "F ratio 1" in frame.pose.reason
+    # The cameras agree from now on, but what continues a pose that they contradict is not sure before the next search.
+    (frame,) = tracker.step(draw_frame(mesh, FOUR, 2))
+    assert frame.pose.status is FrameStatus.UNCERTAIN
 
 
 def test_no_images() -> None:

@@ -102,8 +102,9 @@ class SampledBackground:
         everywhere = np.ones(mask.shape, bool)
         covered = [self._covered.get(k, everywhere) for k in self._images]
         elsewhere, first = estimate_background(list(self._images.values()), covered), self._first
-        color = np.where(first.is_known[..., None], first.color, elsewhere.color)
-        self.background = replace(first, color=color, is_known=first.is_known | elsewhere.is_known)
+        is_new = elsewhere.is_known & ~first.is_known
+        color = np.where(is_new[..., None], elsewhere.color, first.color)
+        self.background = replace(first, color=color, is_known=first.is_known | is_new)
 
 
 class ContourTracker:
@@ -152,13 +153,15 @@ class ContourTracker:
         self._n_frames += 1
         outlines = self._find_outlines(frames)
         found, status = self._find_pose(list(outlines.values()), frames.time)
-        if found is not None and status is not FrameStatus.UNCERTAIN:
+        pose = self._make_pose(frames, [*outlines], found, status)
+        if found is not None and pose.is_measured:
             self._wait, self._pause = 0, 1
             for camera, background in zip(self._cameras, self._backgrounds, strict=True):
                 if background is not None:
                     background.add_pose(frames.index, self._mesh, camera, found.world_from_object)
+        elif self._followed is not None:  # nothing is sure that continues a pose that the cameras contradict
+            self._followed = replace(self._followed, is_sure=False)
         regions = [None if found is None else _draw_region(self._mesh, c, found.world_from_object) for c in self._rig]
-        pose = self._make_pose(frames, [*outlines], found, status)
         return [TrackedFrame(pose, frames, (None,) * len(self._rig), tuple(regions), self._radius)]
 
     def flush(self) -> list[TrackedFrame]:
@@ -241,10 +244,9 @@ class ContourTracker:
         self._f_ratios, pooled = add_f_ratio(self._f_ratios, pooled_with, self._options)
         reason = ""
         if own > self._options.max_f_ratio or pooled > self._options.max_pooled_f_ratio:
-            status, reason = (
-                FrameStatus.CONTRADICTED,
-                f"no pose explains the outlines of all cameras (F ratio {own:.0f})",
-            )
+            ratio = own if own > self._options.max_f_ratio else pooled
+            status = FrameStatus.CONTRADICTED
+            reason = f"no pose explains the outlines of all cameras (F ratio {ratio:.0f})"
         elif not _is_determined(found):
             reason = "a rotation of the object hardly changes its outlines"
         elif status is FrameStatus.UNCERTAIN:
