@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from sylpose.bundle_adjustment.bundle import Observations
 from sylpose.features.klt import Tracks
+from sylpose.features.patches import SIDE
 from sylpose.features.search_windows import SearchWindows
 from sylpose.features.sift import Features
 from sylpose.features.static_background import CameraRotation, RotationRectifier, StaticBackground
@@ -99,6 +100,7 @@ _FEATURES: dict[str, tuple[int | str, ...]] = {
     "normalized": ("n", 2),
     "descriptors": ("n", 128),
     "faint": ("n",),
+    "patches": ("n", SIDE, SIDE),
 }
 _TRACKS: dict[str, tuple[int | str, ...]] = {
     "filters": ("n", "s", 8),
