@@ -199,7 +199,10 @@ def list_errors(locations: Mapping[str, ObjectLocation]) -> list[str]:
 def check_rig_geometry(rig: Rig, location: ObjectLocation) -> list[str]:
     """Return warnings about the cameras' positions and viewing directions."""
     if len(rig) == 1:
-        return ["Only one camera: translations are known only in units of the object's first distance."]
+        return [
+            "Only one camera: unless the object's size is known (--object FILE or --mesh), translations are in units of its "
+            "first distance."
+        ]
     found = []
     rows = describe_rig(rig, location.center)
     spread = max(max(row.angles) for row in rows)
