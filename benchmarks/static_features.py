@@ -1,4 +1,4 @@
-"""How well features that have not moved are told apart from moving ones: by their patches, or by their displacement.
+"""How well features that have not moved are distinguished from moving ones: by their patches, or by displacement.
 
     python benchmarks/static_features.py [KIND ...] [--seed 54] [--gap 3]
 

@@ -21,7 +21,8 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.geometry.numba_linalg import kernel
 
 # Patches are compared within this radius, pixels (choice), if displaced by less than the second value (choice: of keypoints
-# of a static background 99 in 100 are). Sensitivity of all three: docs/history/benchmarks.md#features-that-have-not-moved.
+# of a static background 99 in 100 are). Sensitivity of the radius and of the ratio:
+# docs/history/benchmarks.md#features-that-have-not-moved.
 RADIUS, REACH = 3, 4
 # Side of the stored patches: bilinear interpolation at any such displacement (derived).
 SIDE = 2 * (RADIUS + REACH) + 2

@@ -40,8 +40,7 @@ from sylpose.relative_pose.terms import TermData, find_usable
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
 # 0.3 degrees and 1 %, as a good calibration may be off).
 ROTATION_ERROR_SD, FOCAL_ERROR_SD = 0.0052, 0.01
-# Rotation of a camera between the two images, standard deviation, radians, if it trembles or its clock is a little off
-# (choice: 0.1 degrees).
+# Rotation of a camera between the two images, standard deviation, radians, if it trembles (choice: 0.1 degrees).
 TREMBLE_SD = 0.0017
 # Standard deviation of the time between two images of a camera relative to that of the others, in intervals between frames:
 # shutters open for a part of an interval, webcams deliver unevenly (choice).
