@@ -364,7 +364,7 @@ class CameraTracker:
     @property
     def static_px(self) -> float:
         """Displacements below this are within the camera's keypoint noise, pixels."""
-        return compute_static_px(self.noise_px, STATIC_PX)
+        return max(compute_static_px(self.noise_px), STATIC_PX)
 
     @property
     def is_large(self) -> bool:

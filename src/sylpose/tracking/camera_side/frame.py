@@ -25,6 +25,7 @@ from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, Land
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidence, compare_motions
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
+from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
@@ -32,9 +33,8 @@ from sylpose.rig import Camera
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
 from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
-# Features displaced by less than this, in standard deviations of the camera's noise, are static, and by less than the second
-# value, pixels, in any case (choice).
-STATIC_SIGMAS, MIN_STATIC_PX = 5.0, 0.5
+# Features displaced by less than this, in standard deviations of the camera's noise, are static (choice).
+STATIC_SIGMAS = 5.0
 # Half length of a landmark's search range, in standard deviations of its depth (choice).
 DEPTH_SEARCH_SDS = 2.0
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
@@ -120,7 +120,7 @@ class CameraFrame:
     @property
     def static_px(self) -> float:
         """Keypoints displaced by less than this may be static, pixels."""
-        return compute_static_px(self.noise_px, STATIC_PX)
+        return max(compute_static_px(self.noise_px), STATIC_PX)
 
     @property
     def landmarks(self) -> Landmarks:
@@ -290,9 +290,9 @@ def select_inliers(pairs: Pairs, weights: Sequence[FloatArray]) -> list[FrameMat
     return omit_empty(pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True))
 
 
-def compute_static_px(noise_px: float, least: float = MIN_STATIC_PX) -> float:
+def compute_static_px(noise_px: float) -> float:
     """Return the displacement, pixels, below which features of this noise are static."""
-    return float(np.clip(STATIC_SIGMAS * noise_px, least, MAX_STATIC_PX))
+    return min(STATIC_SIGMAS * max(noise_px, MIN_ERROR_PX), MAX_STATIC_PX)
 
 
 def find_static(pair: FrameMatches, noise_px: float = 0.0) -> BoolArray:
