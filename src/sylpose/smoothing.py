@@ -179,9 +179,10 @@ def smooth_tracks(
     n, poses, zeros = len(rig), [frame.pose for frame in frames], np.zeros(len(rig))
     # A frame without observations (before the object was seen to move) would only bend the path between its neighbors.
     used = [k for k, f in enumerate(frames) if f.pose.is_observed and any(len(s.landmark_ids) for s in f.observations)]
-    # Frames that the cameras contradict would bend it as well, unless all are alike.
+    # Frames that the cameras contradict would bend it as well, unless all are alike, or what they contradict is estimated.
     agreed = [k for k in used if frames[k].pose.status is not FrameStatus.CONTRADICTED]
-    used = agreed if 2 * len(agreed) > len(used) else used
+    estimates_rig = recalibrate or offsets_sd is not None or len(moved_cameras) > 0
+    used = agreed if 2 * len(agreed) > len(used) and not estimates_rig else used
     tracks = [frames[k] for k in used]
     if len(used) < 2 or all(track.is_fixed for track in tracks):
         return SmoothedTrajectory(tuple(poses), Status.TOO_FEW_MATCHES, zeros, zeros, np.full(n, np.nan), 0)

@@ -7,7 +7,7 @@ object is at the center, so motion at the center is the object's.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -146,11 +146,17 @@ def estimate_jitter(pair: FrameMatches) -> float:
 # --- estimation -------------------------------------------------------------------------------------------------------
 
 
-def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: int) -> FirstMotion:
+def estimate_first_motion(
+    context: Context,
+    pairs: CameraPairs,
+    first_number: int,
+    find_still: Callable[[FrameMatches, float], BoolArray] = find_static,
+) -> FirstMotion:
     """Estimate the motion since the frame with the number `first_number`, from its moving matches.
 
     Args:
         pairs: per camera, local: matches.
+        find_still: returns which matches (n,) of a pair are static, given the standard deviation of their noise, pixels.
     """
     rig, executor = context.rig, context.executor
     first_pairs = [[pair for pair in own if pair.reference == first_number] for own in pairs]
@@ -159,7 +165,7 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
     moving, own_reports = list[list[FrameMatches]](), list[InitialMatches]()
     for c, own in zip(executor.local, first_pairs, strict=True):
         jitter = [estimate_jitter(pair) for pair in own]
-        selected = [pair.subset(~find_static(pair, px)) for pair, px in zip(own, jitter, strict=True)]
+        selected = [pair.subset(~find_still(pair, px)) for pair, px in zip(own, jitter, strict=True)]
         moving.append(omit_empty(selected))
         reports = [
             _report_moving(part, pair, px, c, rig.cameras[c])
