@@ -20,7 +20,6 @@ import numpy as np
 from sylpose.features.sift import match_features, reduce_image
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.matches import STATIC_PX
 from sylpose.methods import METHODS
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
 from sylpose.relative_pose.camera_evidence import TREMBLE_SD, pool_f_ratios
@@ -35,7 +34,7 @@ from sylpose.tracking.camera_side.frame import (
     CameraPairs,
     FrameMatches,
     Region,
-    compute_static_px,
+    compute_keypoint_static_px,
     match_frames,
     omit_empty,
     widen_outline,
@@ -141,7 +140,7 @@ def _find_near(pair: FrameMatches, noise_px: float) -> BoolArray:
     neither it begins with one of them.
     """
     displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    return np.asarray(displacement < max(compute_static_px(noise_px), STATIC_PX))
+    return np.asarray(displacement < compute_keypoint_static_px(noise_px))
 
 
 def _remove_inliers(pairs: CameraPairs, motion: FirstMotion) -> list[list[FrameMatches]]:

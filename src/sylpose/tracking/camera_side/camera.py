@@ -57,7 +57,7 @@ from sylpose.tracking.camera_side.frame import (
     SearchArea,
     collect_detected_features,
     collect_features,
-    compute_static_px,
+    compute_keypoint_static_px,
     drop_background,
     find_background,
     mark_background,
@@ -364,7 +364,7 @@ class CameraTracker:
     @property
     def static_px(self) -> float:
         """Displacements below this are within the camera's keypoint noise, pixels."""
-        return max(compute_static_px(self.noise_px), STATIC_PX)
+        return compute_keypoint_static_px(self.noise_px)
 
     @property
     def is_large(self) -> bool:

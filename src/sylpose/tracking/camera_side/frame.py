@@ -120,7 +120,7 @@ class CameraFrame:
     @property
     def static_px(self) -> float:
         """Keypoints displaced by less than this may be static, pixels."""
-        return max(compute_static_px(self.noise_px), STATIC_PX)
+        return compute_keypoint_static_px(self.noise_px)
 
     @property
     def landmarks(self) -> Landmarks:
@@ -293,6 +293,11 @@ def select_inliers(pairs: Pairs, weights: Sequence[FloatArray]) -> list[FrameMat
 def compute_static_px(noise_px: float) -> float:
     """Return the displacement, pixels, below which features of this noise are static."""
     return min(STATIC_SIGMAS * max(noise_px, MIN_ERROR_PX), MAX_STATIC_PX)
+
+
+def compute_keypoint_static_px(noise_px: float) -> float:
+    """Return the displacement, pixels, below which keypoints may be static: they scatter more than tracked features."""
+    return max(compute_static_px(noise_px), STATIC_PX)
 
 
 def find_static(pair: FrameMatches, noise_px: float = 0.0) -> BoolArray:
@@ -624,7 +629,9 @@ def add_evidence(
     assert first is not None
     rotation = pose[:3, :3] @ first[:3, :3].T
     translation = (pose[:3, 3] - rotation @ first[:3, 3]) / np.linalg.norm(first[:3, 3])
-    share_sd = CLOCK_SD_FRAMES / abs(solved.number - pair.reference)
+    # No clock ran from another recording to this one.
+    is_known_object = known_frames[pair.reference].is_fixed
+    share_sd = 0.0 if is_known_object else CLOCK_SD_FRAMES / abs(solved.number - pair.reference)
     compared = compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation, share_sd)
     evidence = CameraEvidence(*compared[:4])
     return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
