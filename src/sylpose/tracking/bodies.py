@@ -34,7 +34,7 @@ from sylpose.tracking.camera_side.frame import (
     CameraPairs,
     FrameMatches,
     Region,
-    compute_keypoint_static_px,
+    find_static,
     match_frames,
     omit_empty,
     widen_outline,
@@ -124,23 +124,13 @@ def find_bodies(context: Context, pairs: CameraPairs, first_number: int) -> list
     """
     bodies, rest = list[FirstMotion](), pairs
     for _ in range(MAX_BODIES):
-        motion = estimate_first_motion(context, rest, first_number, _find_near)
+        motion = estimate_first_motion(context, rest, first_number)
         if motion.n_inliers < MIN_MATCHES:
             break
         if motion.is_rigid:
             bodies.append(motion)
         rest = _remove_inliers(rest, motion)
     return sorted(bodies, key=lambda body: -body.n_inliers)
-
-
-def _find_near(pair: FrameMatches, noise_px: float) -> BoolArray:
-    """Return which matches (n,) are static by their displacement: keypoints of the background that scatter are kept.
-
-    A fit to the matches of two bodies alone mixes them (measured: tests/commands/test_bodies.py); with others that fit
-    neither it begins with one of them.
-    """
-    displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    return np.asarray(displacement < compute_keypoint_static_px(noise_px))
 
 
 def _remove_inliers(pairs: CameraPairs, motion: FirstMotion) -> list[list[FrameMatches]]:
@@ -352,7 +342,7 @@ def find_rigid_motion(camera: Camera, pair: FrameMatches, options: TrackingOptio
         (n,) the static matches; whether the others move as a rigid body, by more than the noise. Of mismatches, and of
         keypoints that scatter with compression, at most a few have common epipolar lines.
     """
-    is_static = _find_near(pair, estimate_jitter(pair))
+    is_static = find_static(pair, estimate_jitter(pair))
     x, y = pair.pixels_i[~is_static], pair.pixels_j[~is_static]
     if len(x) < MIN_MATCHES or np.median(np.linalg.norm(y - x, axis=1)) < options.min_displacement_px:
         return is_static, False

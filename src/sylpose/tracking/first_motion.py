@@ -7,7 +7,7 @@ object is at the center, so motion at the center is the object's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,10 +18,12 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
+from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
 from sylpose.relative_pose.camera_evidence import MIN_KEPT_POOLED, compute_f_ratio, measure_excess
 from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import classify_observability
+from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.solver import fit_terms, fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
 from sylpose.rig import Camera
@@ -63,6 +65,9 @@ CENTER_RATIO = 0.5
 # The center is static if its displacement is within the noise and below this share of that of moving features, both
 # medians (choice: a body rotating about itself moves its center by about a third).
 MAX_CENTER_MOTION_RATIO = 0.15
+# Matches of one body have common affine epipolar lines, within so many pixels (choice: sensitivity in
+# docs/history/benchmarks.md#trust).
+MAX_GROUP_DISTANCE_PX = 0.5
 
 
 # Reason for an ambiguous object in boxes.
@@ -111,10 +116,14 @@ class FirstMotion:
 
     def compute_f_ratio(self) -> float:
         """Compute the F ratio of the cameras' own motions (`camera_evidence`); NaN unless several have evidence."""
-        motion = self.center, self.fit.rotation, self.fit.translation
-        excess = [measure_excess([report.term for report in own], *motion)[0] for own in self.moving]
-        worst = np.array([np.fmax.reduce(own, initial=np.nan) for own in excess])
-        return float(compute_f_ratio(worst, MIN_KEPT_POOLED))
+        return _compute_f_ratio([[report.term for report in own] for own in self.moving], self.fit, self.center)
+
+
+def _compute_f_ratio(by_camera: Iterable[Sequence[TermData]], fit: Fit, center: FloatArray) -> float:
+    """Compute the F ratio of the cameras' own motions to a fit about a center (3,); NaN unless several have evidence."""
+    excess = [measure_excess(own, center, fit.rotation, fit.translation)[0] for own in by_camera]
+    worst = np.array([np.fmax.reduce(own, initial=np.nan) for own in excess])
+    return float(compute_f_ratio(worst, MIN_KEPT_POOLED))
 
 
 def is_continuing_motion(earlier: RigidTransform | None, later: RigidTransform | None) -> bool:
@@ -146,17 +155,11 @@ def estimate_jitter(pair: FrameMatches) -> float:
 # --- estimation -------------------------------------------------------------------------------------------------------
 
 
-def estimate_first_motion(
-    context: Context,
-    pairs: CameraPairs,
-    first_number: int,
-    find_still: Callable[[FrameMatches, float], BoolArray] = find_static,
-) -> FirstMotion:
+def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: int) -> FirstMotion:
     """Estimate the motion since the frame with the number `first_number`, from its moving matches.
 
     Args:
         pairs: per camera, local: matches.
-        find_still: returns which matches (n,) of a pair are static, given the standard deviation of their noise, pixels.
     """
     rig, executor = context.rig, context.executor
     first_pairs = [[pair for pair in own if pair.reference == first_number] for own in pairs]
@@ -165,7 +168,7 @@ def estimate_first_motion(
     moving, own_reports = list[list[FrameMatches]](), list[InitialMatches]()
     for c, own in zip(executor.local, first_pairs, strict=True):
         jitter = [estimate_jitter(pair) for pair in own]
-        selected = [pair.subset(~find_still(pair, px)) for pair, px in zip(own, jitter, strict=True)]
+        selected = [pair.subset(~find_static(pair, px)) for pair, px in zip(own, jitter, strict=True)]
         moving.append(omit_empty(selected))
         reports = [
             _report_moving(part, pair, px, c, rig.cameras[c])
@@ -225,7 +228,8 @@ def _fit_consistent(
     data = [report.term for report in reports]
     center, radius = locate_object(data)
     fit = fit_terms(data, center, radius, [], rng)
-    if fit.is_mixed:
+    contradicts = _compute_f_ratio([[term] for term in data], fit, center) > options.max_pooled_f_ratio
+    if fit.is_mixed or contradicts:
         fit = _separate_motions(data, center, radius, fit, rng)
     is_consistent = ~_find_poor_terms(fit, reports, options)
     if 2 <= is_consistent.sum() < len(is_consistent):
@@ -242,8 +246,8 @@ def _separate_motions(
 ) -> Fit:
     """Return the larger one of two motions that a fit mixes; the fit itself if they cannot be separated.
 
-    Each camera sees two groups of matches: those that the fit explains, and those that a fit to the rest explains. Which
-    groups of two cameras belong to one body is what two motions explain better.
+    Each camera alone sees two groups of matches, of one body each. Which groups of two cameras belong to one body is what
+    two motions explain better. If the calibration is wrong, a camera has one group.
     """
 
     def fit_groups(groups: Sequence[BoolArray]) -> Fit:
@@ -254,10 +258,14 @@ def _separate_motions(
         fit = fit_groups([groups.get(t, np.zeros(len(term), bool)) for t, term in enumerate(data)])
         return fit.cost if fit.status.has_pose else 0.0
 
-    first = [w > 0 for w in mixed.weights]
-    second = [w > 0 for w in fit_groups([~group for group in first]).weights]
+    groups = [_find_groups(term) for term in data]
+    first, second = ([own[k] for own in groups] for k in range(2))
+    n_both = np.array([(a.sum(), b.sum()) for a, b in groups]).min(axis=1)
+    min_both = np.fmax(MIN_MATCHES, MIN_OUTLIER_RATIO * np.array(list(map(len, data))))
+    if np.sum(n_both >= min_both) < min(2, len(data)):
+        return mixed
     # The camera that sees most of both.
-    reference = int(np.argmax([min(a.sum(), b.sum()) for a, b in zip(first, second, strict=True)]))
+    reference = int(np.argmax(n_both))
     a, b = first[reference], second[reference]
     for t in range(len(data)):
         if t != reference and first[t].any() and b.any():
@@ -272,6 +280,18 @@ def _separate_motions(
     if separated is not None and separated[1][1].sum() > separated[1][0].sum():
         separated = fit_two_motions(data, center, radius, *fits[::-1])
     return separated[0] if separated is not None and separated[0].status.has_pose else mixed
+
+
+def _find_groups(term: TermData) -> tuple[BoolArray, BoolArray]:
+    """Find the two largest groups (n,) of a camera's matches that may belong to one body each."""
+    first, second = np.empty((2, len(term)))
+    find_inliers(term.x, term.y, MAX_GROUP_DISTANCE_PX / term.focal, QUADRUPLES, first)
+    rest = np.flatnonzero(first == 0)
+    own = np.empty(len(rest))
+    find_inliers(term.x[rest], term.y[rest], MAX_GROUP_DISTANCE_PX / term.focal, QUADRUPLES, own)
+    second[:] = 0.0
+    second[rest] = own
+    return first > 0, second > 0
 
 
 def _expand_fit(fit: Fit, is_chosen: Sequence[BoolArray]) -> Fit:
