@@ -182,6 +182,17 @@ def measure_excess(
     return excess, unadjusted
 
 
+def measure_distances(term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Measure the distances (n,) of a term's matches from the epipolar lines of the joint motion, pixels.
+
+    Args:
+        center, rotation, translation: as for `measure_excess`.
+    """
+    residuals = np.empty(len(term))
+    _compute_residuals(term.x, term.y, term.focal, *transfer_motion(term, center, rotation, translation), residuals)
+    return np.abs(residuals)
+
+
 def transfer_motion(
     term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -19,7 +20,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
-from sylpose.relative_pose.camera_evidence import MIN_KEPT_POOLED, compute_f_ratio, measure_excess
+from sylpose.relative_pose.camera_evidence import MIN_KEPT_POOLED, compute_f_ratio, measure_distances, measure_excess
 from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import classify_observability
@@ -68,6 +69,8 @@ MAX_CENTER_MOTION_RATIO = 0.15
 # Matches of one body have common affine epipolar lines, within so many pixels (choice: sensitivity in
 # docs/history/benchmarks.md#trust).
 MAX_GROUP_DISTANCE_PX = 0.5
+# The groups of so many cameras, those with most matches, are paired (choice: any two that see both bodies suffice).
+MAX_PAIRED_TERMS = 4
 
 
 # Reason for an ambiguous object in boxes.
@@ -228,58 +231,63 @@ def _fit_consistent(
     data = [report.term for report in reports]
     center, radius = locate_object(data)
     fit = fit_terms(data, center, radius, [], rng)
-    contradicts = _compute_f_ratio([[term] for term in data], fit, center) > options.max_pooled_f_ratio
-    if fit.is_mixed or contradicts:
-        fit = _separate_motions(data, center, radius, fit, rng)
+    is_usable = [np.ones(len(term), bool) for term in data]
+    if fit.is_mixed or _compute_f_ratio([[term] for term in data], fit, center) > options.max_pooled_f_ratio:
+        separated = _separate_motions(data, center, radius, rng)
+        if separated is not None:
+            fit, is_usable = separated, [w > 0 for w in separated.weights]
     is_consistent = ~_find_poor_terms(fit, reports, options)
     if 2 <= is_consistent.sum() < len(is_consistent):
         # In the other cameras, inliers are static keypoints with the largest jitter.
-        consistent_terms = [term for term, consistent in zip(data, is_consistent, strict=True) if consistent]
+        is_chosen = [own & consistent for own, consistent in zip(is_usable, is_consistent, strict=True)]
+        consistent_terms = [term.subset(own) for term, own in zip(data, is_chosen, strict=True) if own.any()]
         center, radius = locate_object(consistent_terms)
-        is_chosen = [np.full(len(term), consistent) for term, consistent in zip(data, is_consistent, strict=True)]
         fit = _expand_fit(fit_terms(consistent_terms, center, radius, [], rng), is_chosen)
     return fit, center
 
 
 def _separate_motions(
-    data: Sequence[TermData], center: FloatArray, radius: float, mixed: Fit, rng: np.random.Generator
-) -> Fit:
-    """Return the larger one of two motions that a fit mixes; the fit itself if they cannot be separated.
+    data: Sequence[TermData], center: FloatArray, radius: float, rng: np.random.Generator
+) -> Fit | None:
+    """Return the larger one of two motions that a fit to their matches mixes; None if they cannot be separated.
 
-    Each camera alone sees two groups of matches, of one body each. Which groups of two cameras belong to one body is what
-    two motions explain better. If the calibration is wrong, a camera has one group.
+    Each camera alone sees two groups of matches, of one body each. Which groups of two cameras belong to one body is not
+    known: those that do have a common motion that most of all other matches agree with. If the calibration is wrong, a
+    camera has one group.
     """
-
-    def fit_groups(groups: Sequence[BoolArray]) -> Fit:
-        chosen = [term.subset(group) for term, group in zip(data, groups, strict=True) if group.any()]
-        return _expand_fit(fit_terms(chosen, center, radius, [], rng), groups)
-
-    def fit_cost(groups: Mapping[int, BoolArray]) -> float:
-        fit = fit_groups([groups.get(t, np.zeros(len(term), bool)) for t, term in enumerate(data)])
-        return fit.cost if fit.status.has_pose else 0.0
-
     groups = [_find_groups(term) for term in data]
-    first, second = ([own[k] for own in groups] for k in range(2))
-    n_both = np.array([(a.sum(), b.sum()) for a, b in groups]).min(axis=1)
+    sizes = np.array([[group.sum() for group in own] for own in groups])
     min_both = np.fmax(MIN_MATCHES, MIN_OUTLIER_RATIO * np.array(list(map(len, data))))
-    if np.sum(n_both >= min_both) < min(2, len(data)):
-        return mixed
-    # The camera that sees most of both.
-    reference = int(np.argmax(n_both))
-    a, b = first[reference], second[reference]
-    for t in range(len(data)):
-        if t != reference and first[t].any() and b.any():
-            as_is = fit_cost({reference: a, t: first[t]}) + fit_cost({reference: b, t: second[t]})
-            exchanged = fit_cost({reference: a, t: second[t]}) + fit_cost({reference: b, t: first[t]})
-            if exchanged < as_is:
-                first[t], second[t] = second[t], first[t]
-    fits = fit_groups(first), fit_groups(second)
+    if np.sum(sizes.min(axis=1) >= min_both) < min(2, len(data)):
+        return None
+
+    def fit_groups(chosen: Mapping[int, BoolArray]) -> Fit:
+        is_chosen = [chosen.get(t, np.zeros(len(term), bool)) for t, term in enumerate(data)]
+        own = [term.subset(group) for term, group in zip(data, is_chosen, strict=True) if group.any()]
+        return _expand_fit(fit_terms(own, center, radius, [], rng), is_chosen)
+
+    def measure(fit: Fit) -> list[FloatArray]:
+        distances = [measure_distances(term, center, fit.rotation, fit.translation) for term in data]
+        return [np.fmin(own, MAX_GROUP_DISTANCE_PX) for own in distances]
+
+    largest = np.argsort(-sizes.sum(axis=1))[:MAX_PAIRED_TERMS].tolist()
+    pairs = (({s: a, t: b}) for s, t in combinations(largest, 2) for a in groups[s] for b in groups[t])
+    distances = [measure(fit) for fit in map(fit_groups, pairs) if fit.status.has_pose]
+    if not distances:
+        return None
+    fits, rest = list[Fit](), [np.ones(len(term), bool) for term in data]
+    for _ in range(2):
+        costs = [sum(float((d[own] ** 2).sum()) for d, own in zip(each, rest, strict=True)) for each in distances]
+        best = distances[int(np.argmin(costs))]
+        inliers = [(d < MAX_GROUP_DISTANCE_PX) & own for d, own in zip(best, rest, strict=True)]
+        rest = [own & ~inlier for own, inlier in zip(rest, inliers, strict=True)]
+        fits.append(fit_groups(dict(enumerate(inliers))))
     if not all(fit.status.has_pose for fit in fits):
-        return mixed
+        return None
     separated = fit_two_motions(data, center, radius, *fits)
     if separated is not None and separated[1][1].sum() > separated[1][0].sum():
         separated = fit_two_motions(data, center, radius, *fits[::-1])
-    return separated[0] if separated is not None and separated[0].status.has_pose else mixed
+    return separated[0] if separated is not None and separated[0].status.has_pose else None
 
 
 def _find_groups(term: TermData) -> tuple[BoolArray, BoolArray]:
