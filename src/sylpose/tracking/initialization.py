@@ -96,7 +96,9 @@ def initialize_tracking(
             ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
             is_due = len(buffered) > context.options.max_buffered_frames
             is_due |= candidate is not None and frame.images.index > candidate.last
-            if (is_clear or is_due) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
+            # The search found the frames between which its motion is seen best: over less time two bodies are one.
+            is_early = candidate is not None and frame.images.index < candidate.last
+            if (is_clear or is_due) and not is_early and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
     if len(buffered) <= context.options.max_buffered_frames:
