@@ -20,7 +20,13 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
-from sylpose.relative_pose.camera_evidence import MIN_KEPT_POOLED, compute_f_ratio, measure_distances, measure_excess
+from sylpose.relative_pose.camera_evidence import (
+    EXPECTED_RATIO,
+    MIN_KEPT_POOLED,
+    compute_f_ratio,
+    measure_distances,
+    measure_excess,
+)
 from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import classify_observability
@@ -518,18 +524,22 @@ def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: R
     """Return whether most of what follows the first motion was outside of the boxes: in all and in most cameras.
 
     Boxes hold the whole object: a body that fills them and continues outside is another one, as a person behind an object
-    without texture. The epipolar geometry of the motion needs no depths.
+    without texture. The epipolar geometry of the motion needs no depths. If the cameras' own motions agree inside, and
+    contradict it outside, another body moves alike.
 
     Args:
         frame: in which the object has moved.
         pose: its world_from_object.
     """
-    count = partial(CameraTracker.count_following, images=frame.images, first=state.frames.first, pose=pose)
-    own_counts = context.executor.run(count, context.cameras)
-    inside, outside = np.maximum(context.executor.gather(own_counts, (0.0, 0.0)), 0.0).T
+    compare = partial(CameraTracker.compare_surroundings, images=frame.images, first=state.frames.first, pose=pose)
+    sides = np.array(context.executor.gather(context.executor.run(compare, context.cameras), np.zeros((2, 2))))
+    (inside, outside), excess = np.maximum(sides[..., 0], 0.0).T, sides[..., 1].T
     # Three standard deviations of what a coin decides: too few matches may be another body that moves alike.
     is_significant = (outside - inside).sum() > 3.0 * np.sqrt((outside + inside).sum())
-    return bool(is_significant and 2 * np.sum(outside > inside) > np.sum(np.maximum(inside, outside) > 0.0))
+    if not is_significant or 2 * np.sum(outside > inside) <= np.sum(np.maximum(inside, outside) > 0.0):
+        return False
+    of_inside, of_outside = (compute_f_ratio(np.ascontiguousarray(own), MIN_KEPT_POOLED) for own in excess)
+    return not (of_inside < EXPECTED_RATIO and of_outside > context.options.max_f_ratio)
 
 
 def count_center_features(camera: CameraTracker, features: Features, region: Region) -> int:

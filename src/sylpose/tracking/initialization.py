@@ -98,7 +98,11 @@ def initialize_tracking(
             is_due |= candidate is not None and frame.images.index > candidate.last
             # The search found the frames between which its motion is seen best: over less time two bodies are one.
             is_early = candidate is not None and frame.images.index < candidate.last
-            if (is_clear or is_due) and not is_early and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
+            if (
+                (is_clear or is_due)
+                and not is_early
+                and (started := _initialize_from_motion(context, buffered, pairs, first_motion))
+            ):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
     if len(buffered) <= context.options.max_buffered_frames:

@@ -43,6 +43,7 @@ from sylpose.landmarks.landmark_filter import (
     update_landmarks,
 )
 from sylpose.matches import STATIC_PX
+from sylpose.relative_pose.camera_evidence import compare_motions
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
 from sylpose.tracking.camera_side.frame import (
@@ -566,36 +567,50 @@ class CameraTracker:
         )
         return near, float(np.mean(by_chance))
 
-    def count_following(self, images: FrameSet, first: SolvedFrame, pose: RigidTransform) -> tuple[float, float]:
-        """Count the matches with the first frame that moved as the object did: inside, and outside of its region there.
-
-        Those expected by chance, displaced in random directions, are subtracted. Outside there are none unless more stand
-        still: a camera that trembles displaces all.
+    def compare_surroundings(self, images: FrameSet, first: SolvedFrame, pose: RigidTransform) -> FloatArray:
+        """Compare the motion of matches with the first frame inside, and outside of the object's region with its own.
 
         Args:
             pose: world_from_object of the images.
+
+        Returns:
+            (2, 2) inside and outside: the number of matches that follow the motion, without those expected by chance,
+            displaced in random directions; the excess of the camera's own motion (`camera_evidence`), NaN without evidence.
+            Outside the number is 0 unless more stand still: a camera that trembles displaces all.
         """
         if first.number not in self.frames:
-            return 0.0, 0.0
+            return np.array([(0.0, np.nan), (0.0, np.nan)])
         camera_from_world = self.camera.camera_from_world
         motion = camera_from_world * pose * first.world_from_object.inv() * camera_from_world.inv()
+        depth = float(camera_from_world.apply(first.world_from_object.translation)[2])
         current = self.detect(self.view_of(images), None, max_pixels=MAX_SEARCH_PIXELS)
-        inside, _ = self._count_following(self.frames[first.number].features, current, motion)
-        outside, n_static = self._count_following(self.background_features, current, motion)
-        return inside, outside if outside < n_static else 0.0
+        inside, of_inside, _ = self._count_following(self.frames[first.number].features, current, motion, depth)
+        outside, of_outside, n_static = self._count_following(self.background_features, current, motion, depth)
+        return np.array([(inside, of_inside), (outside if outside < n_static else 0.0, of_outside)])
 
-    def _count_following(self, earlier: Features, current: Features, motion: RigidTransform) -> tuple[float, int]:
-        """Count the matches that follow a motion in the camera's axes beyond chance, and those that have not moved."""
+    def _count_following(
+        self, earlier: Features, current: Features, motion: RigidTransform, depth: float
+    ) -> tuple[float, float, int]:
+        """Count the matches that follow a motion in the camera's axes beyond chance, and those that have not moved.
+
+        Args:
+            depth: of the object.
+
+        Returns:
+            the first number; the excess of the own motion of those that have moved; the second number.
+        """
         i, j = match_features(earlier, current).T
         before_px, after_px = earlier.pixels[i], current.pixels[j]
-        x, y = (self.camera.normalize(pixels) for pixels in (before_px, after_px))
-        essential = essential_matrix(rotation_matrix_of(motion), motion.translation)
-        residual_px = self.camera.focal * np.abs(sampson_distance(essential, x, y))
         displacement_px = np.linalg.norm(after_px - before_px, axis=1)
         has_moved = displacement_px > self.static_px
+        x, y = (self.camera.normalize(pixels[has_moved]) for pixels in (before_px, after_px))
+        rotation = np.ascontiguousarray(rotation_matrix_of(motion))
+        essential = essential_matrix(rotation, motion.translation)
+        residual_px = self.camera.focal * np.abs(sampson_distance(essential, x, y))
         by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
-        following = ((residual_px[has_moved] < self.static_px) - by_chance).sum()
-        return float(following), int(np.count_nonzero(~has_moved))
+        following = ((residual_px < self.static_px) - by_chance).sum()
+        *_, excess, _ = compare_motions(x, y, self.camera.focal, rotation, motion.translation / depth)
+        return float(following), excess, int(np.count_nonzero(~has_moved))
 
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 
