@@ -290,9 +290,10 @@ def _separate_motions(
         fits.append(fit_groups(dict(enumerate(inliers))))
     if not all(fit.status.has_pose for fit in fits):
         return None
-    separated = fit_two_motions(data, center, radius, *fits)
+    first, second = fits
+    separated = fit_two_motions(data, center, radius, first, second)
     if separated is not None and separated[1][1].sum() > separated[1][0].sum():
-        separated = fit_two_motions(data, center, radius, *fits[::-1])
+        separated = fit_two_motions(data, center, radius, second, first)
     return separated[0] if separated is not None and separated[0].status.has_pose else None
 
 
