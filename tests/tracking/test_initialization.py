@@ -130,6 +130,21 @@ def motion_errors(motion: FirstMotion) -> tuple[float, float]:
 # --- the object's motion
 
 
+@pytest.mark.parametrize("share", [0.4, 0.8])
+def test_bodies_that_move_alike_are_separated(executor: LocalExecutor, rig: Rig, share: float) -> None:
+    """They move by some pixels, and the cameras do not see most of the same one."""
+    motions = [
+        make_motion(at, share * np.array(rotvec), share * np.array([0.01, -0.008, 0.012]))
+        for at, rotvec in ((AT, (0.05, 0.09, -0.04)), (ELSEWHERE, (-0.08, 0.03, 0.07)))
+    ]
+    bodies = [Body(n, at, motion) for n, at, motion in zip((60, 45), (AT, ELSEWHERE), motions, strict=True)]
+    pairs = make_pairs(rig, bodies, room=0, noise_px=0.1)
+    pairs[1] = [pair.subset(np.arange(len(pair)) >= 30) for pair in pairs[1]]
+    found = estimate_motion(executor, rig, pairs)
+    assert min((motion.rotation * found.motion.rotation.inv()).magnitude() for motion in motions) < 0.003
+    assert found.compute_f_ratio() < 1.0
+
+
 def test_exchanged_cameras_contradict_first_motion(executor: LocalExecutor, rig: Rig) -> None:
     """A right rig has no excess; a third camera leaves exchanged ones without a joint motion."""
     first, second, *others = make_pairs(rig, [OBJECT], noise_px=0.1)

@@ -7,7 +7,7 @@ object is at the center, so motion at the center is the object's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -75,7 +75,7 @@ MAX_CENTER_MOTION_RATIO = 0.15
 # Matches of one body have common affine epipolar lines, within so many pixels (choice: sensitivity in
 # docs/history/benchmarks.md#trust).
 MAX_GROUP_DISTANCE_PX = 0.5
-# The groups of so many cameras, those with most matches, are paired (choice: any two that see both bodies suffice).
+# The groups of so many cameras, those that see most of both bodies, are paired (choice: any two suffice).
 MAX_PAIRED_TERMS = 4
 
 
@@ -258,42 +258,43 @@ def _separate_motions(
     """Return the larger one of two motions that a fit to their matches mixes; None if they cannot be separated.
 
     Each camera alone sees two groups of matches, of one body each. Which groups of two cameras belong to one body is not
-    known: those that do have a common motion that most of all other matches agree with. If the calibration is wrong, a
-    camera has one group.
+    known: those whose two motions explain all matches best. If the calibration is wrong, a camera has one group.
     """
     groups = [_find_groups(term) for term in data]
-    sizes = np.array([[group.sum() for group in own] for own in groups])
+    n_both = np.array([min(a.sum(), b.sum()) for a, b in groups])
     min_both = np.fmax(MIN_MATCHES, MIN_OUTLIER_RATIO * np.array(list(map(len, data))))
-    if np.sum(sizes.min(axis=1) >= min_both) < min(2, len(data)):
+    is_seeing_both = n_both >= min_both
+    if is_seeing_both.sum() < min(2, len(data)):
         return None
+    chosen = np.argsort(-(n_both * is_seeing_both))[: min(is_seeing_both.sum(), MAX_PAIRED_TERMS)].tolist()
 
-    def fit_groups(chosen: Mapping[int, BoolArray]) -> Fit:
-        is_chosen = [chosen.get(t, np.zeros(len(term), bool)) for t, term in enumerate(data)]
-        own = [term.subset(group) for term, group in zip(data, is_chosen, strict=True) if group.any()]
-        return _expand_fit(fit_terms(own, center, radius, [], rng), is_chosen)
+    def fit_two(first: Sequence[BoolArray], second: Sequence[BoolArray]) -> tuple[Fit, Fit] | None:
+        fits = list[Fit]()
+        for own in (first, second):
+            terms = [term.subset(group) for term, group in zip(data, own, strict=True) if group.any()]
+            fits.append(_expand_fit(fit_terms(terms, center, radius, [], rng), own))
+        return (fits[0], fits[1]) if all(fit.status.has_pose for fit in fits) else None
 
-    def measure(fit: Fit) -> list[FloatArray]:
-        distances = [measure_distances(term, center, fit.rotation, fit.translation) for term in data]
-        return [np.fmin(own, MAX_GROUP_DISTANCE_PX) for own in distances]
-
-    largest = np.argsort(-sizes.sum(axis=1))[:MAX_PAIRED_TERMS].tolist()
-    pairs = (({s: a, t: b}) for s, t in combinations(largest, 2) for a in groups[s] for b in groups[t])
-    distances = [measure(fit) for fit in map(fit_groups, pairs) if fit.status.has_pose]
-    if not distances:
+    best_cost, best = np.inf, list[FloatArray]()
+    for s, t in combinations(chosen, 2):
+        for of_t in (groups[t], groups[t][::-1]):
+            first, second = [np.zeros(len(term), bool) for term in data], [np.zeros(len(term), bool) for term in data]
+            (first[s], second[s]), (first[t], second[t]) = groups[s], of_t
+            if (fits := fit_two(first, second)) is None:
+                continue
+            distances = [
+                np.array([measure_distances(term, center, fit.rotation, fit.translation) for fit in fits])
+                for term in data
+            ]
+            cost = sum(float((np.fmin(own.min(axis=0), MAX_GROUP_DISTANCE_PX) ** 2).sum()) for own in distances)
+            if cost < best_cost:
+                best_cost, best = cost, distances
+    nearest = [np.where(own.min(axis=0) < MAX_GROUP_DISTANCE_PX, own.argmin(axis=0), -1) for own in best]
+    if not nearest or (fits := fit_two([own == 0 for own in nearest], [own == 1 for own in nearest])) is None:
         return None
-    fits, rest = list[Fit](), [np.ones(len(term), bool) for term in data]
-    for _ in range(2):
-        costs = [sum(float((d[own] ** 2).sum()) for d, own in zip(each, rest, strict=True)) for each in distances]
-        best = distances[int(np.argmin(costs))]
-        inliers = [(d < MAX_GROUP_DISTANCE_PX) & own for d, own in zip(best, rest, strict=True)]
-        rest = [own & ~inlier for own, inlier in zip(rest, inliers, strict=True)]
-        fits.append(fit_groups(dict(enumerate(inliers))))
-    if not all(fit.status.has_pose for fit in fits):
-        return None
-    first, second = fits
-    separated = fit_two_motions(data, center, radius, first, second)
+    separated = fit_two_motions(data, center, radius, *fits)
     if separated is not None and separated[1][1].sum() > separated[1][0].sum():
-        separated = fit_two_motions(data, center, radius, second, first)
+        separated = fit_two_motions(data, center, radius, *fits[::-1])
     return separated[0] if separated is not None and separated[0].status.has_pose else None
 
 
