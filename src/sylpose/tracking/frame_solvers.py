@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
+from sylpose.landmarks.alignment import FIRST_PX, SCHEDULE_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
 from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS
 from sylpose.relative_pose.solver import fit_terms
@@ -38,19 +38,20 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Alignment, CameraExecutor
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
+from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.reports import CameraTerms, InlierStatistics, KnownDepthMatches, LandmarkAges
 
 Hypothesis = tuple[FloatArray, FloatArray]
 
-# Initial noise level of another start, pixels: the first rounds at large assumed noise may converge to another minimum
-# even from the true pose (choice).
-NARROW_START_PX = 1.0
+# Initial noise level of another start, pixels, the last of the usual one's: the first rounds at large assumed noise may
+# converge to another minimum even from the true pose (derived).
+NARROW_START_PX = SCHEDULE_PX[-1]
 # A landmark's depth counts as a guess after so many observations or fewer, or while it is not known better than
 # `KNOWN_DEPTH_RATIO`: observations of an object at rest add nothing (choice).
 MAX_YOUNG_AGE = 3
-# A depth is known if its standard deviation moves the landmark's image by less than this, pixels. The 2D-3D equation
-# needs so many such landmarks (choice).
-MAX_DEPTH_SMEAR_PX, MIN_KNOWN_LANDMARKS = 1.0, 30
+# A depth is known if its standard deviation moves the landmark's image by less than this, pixels (choice). The 2D-3D
+# equation needs as many such landmarks as a surface.
+MAX_DEPTH_SMEAR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +321,7 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
         KnownDepthMatches(),
     )
     cameras, weights = [record.observations for record in records], [record.weights for record in records]
-    if sum(int((w > 0).sum()) for w in weights) < MIN_KNOWN_LANDMARKS:
+    if sum(int((w > 0).sum()) for w in weights) < MIN_SURFACE_POINTS:
         return solution
     rotations, centers = np.array([s.rotation for s in cameras]), np.array([s.center for s in cameras])
     points = [s.points for s in cameras]

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import enlarge_covariance, invert_information
+from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import (
     MIN_KEPT_POOLED,
@@ -43,8 +44,6 @@ from sylpose.tracking.window import refine_window
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
 CONVEX_BULGE_RATIO = 0.5
-# Relative error of a rotation while all depths are guesses (choice).
-MIRROR_ERROR_RATIO = 0.5
 
 
 def accept_first_frame(
@@ -245,9 +244,9 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
     if not candidate.has_moved:
         covariance = covariance + _undetected_motion_covariance(context, pose, radius)
     if state.object.is_depth_guessed:
-        # With all depths guessed, the mirrored rotation fits nearly as well.
+        # With all depths guessed, the mirrored rotation fits nearly as well: even the sign of the rotation is uncertain.
         rotation = (pose.rotation * first.world_from_object.rotation.inv()).magnitude()
-        covariance = covariance + np.diag(np.repeat([(MIRROR_ERROR_RATIO * rotation) ** 2, 0.0], 3))
+        covariance = covariance + np.diag(np.repeat([(UNOBSERVABLE_RATIO * rotation) ** 2, 0.0], 3))
     return covariance
 
 

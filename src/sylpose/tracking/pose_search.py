@@ -52,9 +52,9 @@ from sylpose.tracking.reports import Agreements, PoseAgreement, TrackingReport
 # An object that rotates by more than this per frame, radians, shows another side each time (measured:
 # benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
 FAST_ROTATION = np.radians(10.0)
-# A pose must agree with the one that its solution started from, by relocalization, within this rotation and share of the
-# radius (choice).
-MAX_START_ROTATION, MAX_START_TRANSLATION = 0.17, 0.3
+# A pose must agree with the one that its solution started from, by relocalization, within this share of the radius, and
+# within `FAST_ROTATION` (choice).
+MAX_START_TRANSLATION = 0.3
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
 # (choice).
 VELOCITY_ROUNDS = 2
@@ -66,13 +66,9 @@ SOLVED_RADIUS, MIN_RADIUS_PX = 0.03, 3.0
 ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * MIN_RADIUS_PX
 # Minimum weight of a camera's features, and minimum number of features for a camera to count (choice).
 MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 0.5, 15
-# Maximum angle around the object of keyframes that a frame is matched with, radians (choice).
-MAX_VIEW_ANGLE = np.radians(50.0)
 # Search radius around a landmark's projection at a predicted pose, as a share of the object's radius in the image
 # (choice).
-PREDICTED_RADII = (0.15, 0.07)
-# Maximum number of reference frames for comparing a pose's support with chance (choice).
-MAX_EVIDENCE_REFERENCES = 2
+PREDICTED_RADIUS = 0.15
 # Excess features of a wrong pose over chance, since it was fitted to them (derived).
 SELECTION_BIAS = 6 * SELECTED_PER_UNKNOWN
 # With all features, static ones in the regions agree with each other, and only those once the object has left: this
@@ -370,7 +366,7 @@ def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransf
     difference = candidate.pose * pose.inv()
     distance = np.linalg.norm(difference.apply(pose.translation) - pose.translation)
     is_far = distance > MAX_START_TRANSLATION * state.object.radius
-    return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
+    return bool(not is_far and difference.rotation.magnitude() <= FAST_ROTATION)
 
 
 # --- all features -----------------------------------------------------------------------------------------------------
@@ -403,8 +399,8 @@ def find_pose_with_all_features(
     solve_near = partial(_solve_near_pose, context, young, frame, predicted_pose)
     candidates = [solve_pose(context, state, frame, pairs, predicted_pose)]
     if state.motion.velocity.n_frames or matched_pose is not None:
-        near = [solve_near(predicted_pose, share) for share in PREDICTED_RADII]
-        candidates += [c for c in near if c is not None and is_near_start(state, c, predicted_pose)]
+        near = solve_near(predicted_pose, PREDICTED_RADIUS)
+        candidates += [near] if near is not None and is_near_start(state, near, predicted_pose) else []
     found = [candidate for candidate in candidates if candidate is not None]
     # Solve again from all matches near a solution's projections.
     found += [refined for one in found if (refined := solve_near(one.pose, SOLVED_RADIUS)) is not None]
@@ -419,7 +415,7 @@ def find_pose_with_all_features(
 
 def _is_significant(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
     """Return whether significantly more features agree with a pose than by chance."""
-    references = [own[:MAX_EVIDENCE_REFERENCES] for own in _select_nearby(context, state, candidate.pose)]
+    references = _select_nearby(context, state, candidate.pose)
     areas = _make_search_areas(context, state, candidate.pose, SOLVED_RADIUS)
     count = CameraTracker.count_supporting_features
     counts = context.executor.run(count, context.cameras, candidate.frame.cameras, references, areas)
@@ -438,7 +434,7 @@ def _select_nearby(context: Context, state: JointState, guess: RigidTransform) -
     """Return per camera, local: the numbers of the last solved frame and of nearby keyframes."""
     viewpoints, last, keyframes = compute_viewpoints(context.rig, guess), state.last.number, state.frames.keyframes
     near = [
-        find_nearest_views(keyframes, c, viewpoints[c], context.options.max_reference_keyframes, MAX_VIEW_ANGLE)
+        find_nearest_views(keyframes, c, viewpoints[c], context.options.max_reference_keyframes)
         for c in context.executor.local
     ]
     return [[last, *(k.number for k in own if k.number != last)] for own in near]

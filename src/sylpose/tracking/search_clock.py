@@ -21,8 +21,6 @@ N_RECENT = 64
 MAX_DRIFT = 2e-4
 # Quantile of the recent differences between frame times that is the interval: dropped frames lengthen them (choice).
 INTERVAL_QUANTILE = 0.25
-# Seconds that a search is assumed to take before one was measured (choice: several times that of a desktop computer).
-ASSUMED_SECONDS = 0.1
 # A search is not worth doing on fewer than this share of its pixels (choice).
 MIN_SHARE = 0.25
 # Where a search would make even a punctual frame late, its duration is forgotten at this rate per frame, as the machine
@@ -62,8 +60,10 @@ class SearchClock:
             kind: of the search; each has its own duration.
             min_share: smallest share worth searching; 1 for a search that cannot be shortened.
         """
+        if np.isinf(self._allowance):  # the interval is unknown
+            return 1.0
         # Unmeasured, half of the time is assumed to be enough: else it would never be tried.
-        seconds = self._seconds.get(kind, min(ASSUMED_SECONDS, 0.5 * self._allowance))
+        seconds = self._seconds.get(kind, 0.5 * self._allowance)
         if min_share * seconds > self._allowance:
             self._seconds[kind] = FORGETTING * seconds
         share = (self._deadline - self._clock()) / seconds

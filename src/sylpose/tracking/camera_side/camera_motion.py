@@ -20,6 +20,7 @@ from sylpose.features.static_background import (
     find_unchanged_corners,
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.rig import Camera
 from sylpose.tracking.camera_side.frame import REGION_MARGIN, project_outline, rasterize_outline
 from sylpose.tracking.reports import CameraMotionReport
@@ -31,16 +32,18 @@ View = tuple[Image | None, BoolArray | None]
 # "background" in benchmarks/kinds.py, 0.8 at least where it is static, less than 0.1 where it was nudged by a degree;
 # 0.6 where an object that fills half of the image starts to move).
 MIN_UNCHANGED_RATIO = 0.4
-# A rotation is detected if so many corners, and such a share of those tested, agree on it, spread over such a share of
-# the image, while at most such a share is static (choice).
-MIN_AGREEING, MIN_AGREEING_RATIO, MIN_SPREAD, MAX_STATIC_RATIO = 12, 0.6, 0.1, 0.1
+# A rotation is detected if such a share of the corners tested, `MIN_CORNERS` at least, agree on it, spread over such a
+# share of the image, while at most such a share is static (choice).
+MIN_AGREEING_RATIO, MIN_SPREAD, MAX_STATIC_RATIO = 0.6, 0.1, 0.1
 # A nudge has at least this median displacement, pixels, and this many standard deviations (choice).
 NUDGE_PX, MIN_NUDGE_SDS = 2.0, 10.0
-# Two rotations are equal within so many pixels at the image center, or so many standard deviations (choice).
-SAME_PX, SAME_SDS = 0.5, 4.0
-# After so many consecutive frames of unexplained change, detection restarts so many frames later; with too few corners
+# Two rotations are equal within so many pixels at the image center (choice),
+SAME_PX = 0.5
+# or so many standard deviations (chi-squared of three, once in a thousand times).
+SAME_SDS = float(np.sqrt(chi_squared_bound(3)))
+# After so many consecutive frames of unexplained change, detection restarts as many frames later; with too few corners
 # it restarts after the same pause (choice).
-MAX_CHANGED_FRAMES, PAUSE_FRAMES = 10, 30
+PAUSE_FRAMES = 10
 
 
 class CameraMotionDetector:
@@ -90,23 +93,23 @@ class CameraMotionDetector:
         if (is_unchanged & self.is_static).sum() >= MIN_UNCHANGED_RATIO * self.is_static.sum():
             self.is_static, self.last_rotation, self.n_changed = is_unchanged, None, 0
             if is_unchanged.sum() < MIN_CORNERS:
-                self.restart(MAX_CHANGED_FRAMES)
+                self.restart(PAUSE_FRAMES)
             return CameraMotionReport()
         if not self.n_changed:
             # The object's position may become less certain in the next frames, without this camera.
             self.is_static = self.is_static & ~self._is_on_object(points)
-        is_enough = self.is_static.sum() >= MIN_AGREEING
+        is_enough = self.is_static.sum() >= MIN_CORNERS
         rotation = estimate_camera_rotation(self.background, image, self.camera, self.is_static) if is_enough else None
         self.n_changed += 1
         if rotation is None or not _is_nudge(rotation):
             self.last_rotation = None
-            if self.n_changed > MAX_CHANGED_FRAMES:
+            if self.n_changed > PAUSE_FRAMES:
                 self.restart(PAUSE_FRAMES)
             return CameraMotionReport(has_changed=True)
         is_confirmed = self.last_rotation is not None and _is_same(rotation, self.last_rotation, self.camera)
         self.first_frame = self.first_frame if self.last_rotation is not None else index
         self.last_rotation = rotation
-        if self.n_changed > MAX_CHANGED_FRAMES and not is_confirmed:
+        if self.n_changed > PAUSE_FRAMES and not is_confirmed:
             self.restart(PAUSE_FRAMES)
         return CameraMotionReport(
             True, Rotation.from_matrix(rotation.rotation).as_rotvec(), rotation.sd, self.first_frame, is_confirmed
@@ -143,7 +146,7 @@ class CameraMotionDetector:
 def _is_nudge(rotation: CameraRotation) -> bool:
     """Return whether a rotation is that of the whole camera and significant."""
     is_majority = (
-        rotation.n_inliers >= MIN_AGREEING
+        rotation.n_inliers >= MIN_CORNERS
         and rotation.n_inliers >= MIN_AGREEING_RATIO * rotation.n_evaluated
         and rotation.n_static <= MAX_STATIC_RATIO * rotation.n_evaluated
     )

@@ -18,7 +18,7 @@ from sylpose.features.patches import find_unmoved
 from sylpose.features.sift import Features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import rotation_matrix_of
-from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, chi_squared_bound
 from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, LandmarkTable
@@ -33,10 +33,11 @@ from sylpose.rig import Camera
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
 from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
-# Features displaced by less than this, in standard deviations of the camera's noise, are static (choice).
-STATIC_SIGMAS = 5.0
-# Half length of a landmark's search range, in standard deviations of its depth (choice).
-DEPTH_SEARCH_SDS = 2.0
+# Features displaced by less than this, in standard deviations of the camera's noise, are static: the difference of two
+# points of the same noise (chi-squared of two, once in a thousand times).
+STATIC_SIGMAS = float(np.sqrt(2.0 * chi_squared_bound(2)))
+# Half length of a landmark's search range, in standard deviations of its depth (chi-squared, once in a thousand times).
+DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
 MAX_RELATIVE_DEPTH_SD = 0.1
 # An outline (k, 2) in pixels; None: out of view.

@@ -45,10 +45,11 @@ MIN_KEYFRAME_SCALE = 1.2
 # One reference is taken from each ring of angles between viewpoints: near ones match well, far ones limit drift
 # (choice).
 RING_ANGLES = np.radians([0.0, 10.0, 18.0, 28.0])
-# An anchor is used while these shares of its features are still tracked, overall and per camera, at least so many in
-# total, and the object has rotated by less than this (radians) since (choice). A body can be measured from an earlier frame
-# that shows the first share of its matches.
-MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.25, 60, np.radians(30.0)
+# An anchor is used while these shares of its features are still tracked, overall and per camera, and at least so many in
+# total (choice). A body can be measured from an earlier frame that shows the first share of its matches.
+MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED = 0.4, 0.25, 60
+# An anchor is used until the object has rotated beyond the outermost ring, in which frames are matched (derived).
+MAX_ANCHOR_ROTATION = RING_ANGLES[-1]
 # Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
 # exceeds that divided by it (choice).
 PREPARATION_MARGIN = 1.5
