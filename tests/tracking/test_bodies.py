@@ -196,6 +196,16 @@ def test_chosen_body_is_tracked(path: Path) -> None:
     assert np.degrees(off.magnitude()) < 0.5
 
 
+@pytest.mark.parametrize("last", [1, 6, 50])
+def test_no_frame_is_lost_while_the_search_waits(last: int) -> None:
+    """The frame up to which the search measured the motion may be beyond what is buffered, or the recording's end."""
+    clip = Clip.render(moving_scene(lambda frame: make_rotated_pose(4.0 * frame), 7, n_cameras=2))
+    candidate = replace(find_candidates(clip.rig, [clip.frames()])[0], first=0, last=last)
+    with Tracker(clip.rig, candidate=candidate, options=TrackingOptions(max_buffered_frames=3)) as tracker:
+        tracked = [result for frames in clip.frames() for result in tracker.step(frames)] + tracker.flush()
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6
+
+
 def test_iterator_is_searched_as_the_sequence() -> None:
     clip = render("late")
     frames = clip.frames()

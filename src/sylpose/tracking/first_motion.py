@@ -23,6 +23,7 @@ from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
     MIN_KEPT_POOLED,
+    CameraEvidence,
     compute_f_ratio,
     measure_distances,
     measure_excess,
@@ -125,10 +126,10 @@ class FirstMotion:
 
     def compute_f_ratio(self) -> float:
         """Compute the F ratio of the cameras' own motions (`camera_evidence`); NaN unless several have evidence."""
-        return _compute_f_ratio([[report.term for report in own] for own in self.moving], self.fit, self.center)
+        return _compute_fit_f_ratio([[report.term for report in own] for own in self.moving], self.fit, self.center)
 
 
-def _compute_f_ratio(by_camera: Iterable[Sequence[TermData]], fit: Fit, center: FloatArray) -> float:
+def _compute_fit_f_ratio(by_camera: Iterable[Sequence[TermData]], fit: Fit, center: FloatArray) -> float:
     """Compute the F ratio of the cameras' own motions to a fit about a center (3,); NaN unless several have evidence."""
     excess = [measure_excess(own, center, fit.rotation, fit.translation)[0] for own in by_camera]
     worst = np.array([np.fmax.reduce(own, initial=np.nan) for own in excess])
@@ -238,11 +239,11 @@ def _fit_consistent(
     center, radius = locate_object(data)
     fit = fit_terms(data, center, radius, [], rng)
     is_usable = [np.ones(len(term), bool) for term in data]
-    if fit.is_mixed or _compute_f_ratio([[term] for term in data], fit, center) > options.max_pooled_f_ratio:
+    if fit.is_mixed or _compute_fit_f_ratio([[term] for term in data], fit, center) > options.max_pooled_f_ratio:
         separated = _separate_motions(data, center, radius, rng)
         if separated is not None:
             fit, is_usable = separated, [w > 0 for w in separated.weights]
-    is_consistent = ~_find_poor_terms(fit, reports, options)
+    is_consistent = ~_find_poor_terms(fit, reports, options) & np.array([own.any() for own in is_usable])
     if 2 <= is_consistent.sum() < len(is_consistent):
         # In the other cameras, inliers are static keypoints with the largest jitter.
         is_chosen = [own & consistent for own, consistent in zip(is_usable, is_consistent, strict=True)]
@@ -260,7 +261,7 @@ def _separate_motions(
     Each camera alone sees two groups of matches, of one body each. Which groups of two cameras belong to one body is not
     known: those whose two motions explain all matches best. If the calibration is wrong, a camera has one group.
     """
-    groups = [_find_groups(term) for term in data]
+    groups = [_find_groups(term, rng) for term in data]
     n_both = np.array([min(a.sum(), b.sum()) for a, b in groups])
     min_both = np.fmax(MIN_MATCHES, MIN_OUTLIER_RATIO * np.array(list(map(len, data))))
     is_seeing_both = n_both >= min_both
@@ -273,7 +274,7 @@ def _separate_motions(
         for own in (first, second):
             terms = [term.subset(group) for term, group in zip(data, own, strict=True) if group.any()]
             fits.append(_expand_fit(fit_terms(terms, center, radius, [], rng), own))
-        return (fits[0], fits[1]) if all(fit.status.has_pose for fit in fits) else None
+        return (fits[0], fits[1]) if all(map(_is_moving, fits)) else None
 
     best_cost, best = np.inf, list[FloatArray]()
     for s, t in combinations(chosen, 2):
@@ -294,20 +295,36 @@ def _separate_motions(
         return None
     separated = fit_two_motions(data, center, radius, *fits)
     if separated is not None and separated[1][1].sum() > separated[1][0].sum():
-        separated = fit_two_motions(data, center, radius, *fits[::-1])
+        separated = fit_two_motions(data, center, radius, *fits[::-1]) or separated
     return separated[0] if separated is not None and separated[0].status.has_pose else None
 
 
-def _find_groups(term: TermData) -> tuple[BoolArray, BoolArray]:
-    """Find the two largest groups (n,) of a camera's matches that may belong to one body each."""
-    first, second = np.empty((2, len(term)))
-    find_inliers(term.x, term.y, MAX_GROUP_DISTANCE_PX / term.focal, QUADRUPLES, first)
-    rest = np.flatnonzero(first == 0)
-    own = np.empty(len(rest))
-    find_inliers(term.x[rest], term.y[rest], MAX_GROUP_DISTANCE_PX / term.focal, QUADRUPLES, own)
-    second[:] = 0.0
-    second[rest] = own
-    return first > 0, second > 0
+def _find_groups(term: TermData, rng: np.random.Generator) -> tuple[BoolArray, BoolArray]:
+    """Find the two largest groups (n,) of a camera's matches that may belong to one body each.
+
+    A group begins with common affine epipolar lines, and is what the motion of its matches, seen by this camera alone,
+    explains: parts of one body at different depths are one group.
+    """
+    groups, rest = list[BoolArray](), np.ones(len(term), bool)
+    for _ in range(2):
+        at, weights = np.flatnonzero(rest), np.empty(np.count_nonzero(rest))
+        find_inliers(term.x[at], term.y[at], MAX_GROUP_DISTANCE_PX / term.focal, QUADRUPLES, weights)
+        group = np.isin(np.arange(len(term)), at[weights > 0])
+        own = term.subset(group)
+        if len(own) >= MIN_MATCHES:
+            center, radius = locate_object([own])
+            fit = fit_terms([own], center, radius, [], rng)
+            if _is_moving(fit):
+                distances = measure_distances(term, center, fit.rotation, fit.translation)
+                group = rest & (distances < MAX_GROUP_DISTANCE_PX)
+        groups.append(group)
+        rest = rest & ~group
+    return groups[0], groups[1]
+
+
+def _is_moving(fit: Fit) -> bool:
+    """Return whether a fit has a motion: without one, all matches would be on its epipolar lines."""
+    return fit.status.has_pose and fit.status is not Status.NO_MOTION
 
 
 def _expand_fit(fit: Fit, is_chosen: Sequence[BoolArray]) -> Fit:
@@ -534,12 +551,14 @@ def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: R
         pose: its world_from_object.
     """
     compare = partial(CameraTracker.compare_surroundings, images=frame.images, first=state.frames.first, pose=pose)
-    sides = np.array(context.executor.gather(context.executor.run(compare, context.cameras), np.zeros((2, 2))))
-    (inside, outside), excess = np.maximum(sides[..., 0], 0.0).T, sides[..., 1].T
+    nothing = 0.0, CameraEvidence(), 0.0, CameraEvidence()
+    sides = context.executor.gather(context.executor.run(compare, context.cameras), nothing)
+    inside, outside = (np.maximum([own[k] for own in sides], 0.0) for k in (0, 2))
     # Three standard deviations of what a coin decides: too few matches may be another body that moves alike.
     is_significant = (outside - inside).sum() > 3.0 * np.sqrt((outside + inside).sum())
     if not is_significant or 2 * np.sum(outside > inside) <= np.sum(np.maximum(inside, outside) > 0.0):
         return False
+    excess = np.array([(of_inside.excess, of_outside.excess) for _, of_inside, _, of_outside in sides]).T
     of_inside, of_outside = (compute_f_ratio(np.ascontiguousarray(own), MIN_KEPT_POOLED) for own in excess)
     return not (of_inside < EXPECTED_RATIO and of_outside > context.options.max_f_ratio)
 

@@ -91,18 +91,14 @@ def initialize_tracking(
         pairs, first_motion = _match_first_motion(context, buffered)
         if first_motion.is_significant:
             buffered[-1] = buffered[-1]._replace(motion=first_motion.motion)
-            is_clear = (
-                first_motion.is_observable or first_motion.displacement_px > context.options.min_first_motion_px
-            ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
-            is_due = len(buffered) > context.options.max_buffered_frames
-            is_due |= candidate is not None and frame.images.index > candidate.last
-            # The search found the frames between which its motion is seen best: over less time two bodies are one.
-            is_early = candidate is not None and frame.images.index < candidate.last
-            if (
-                (is_clear or is_due)
-                and not is_early
-                and (started := _initialize_from_motion(context, buffered, pairs, first_motion))
-            ):
+            is_large = first_motion.is_observable or first_motion.displacement_px > context.options.min_first_motion_px
+            is_due = is_large and is_continuing_motion(buffered[-2].motion, first_motion.motion)
+            if candidate is not None:
+                # The search measured the motion up to this frame: over less time two bodies may not be separable.
+                after_last = frame.images.index - candidate.last
+                is_due = after_last > 0 or (is_due and after_last == 0)
+            is_due |= len(buffered) > context.options.max_buffered_frames
+            if is_due and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
     if len(buffered) <= context.options.max_buffered_frames:

@@ -15,6 +15,7 @@ from sylpose.geometry.matrices import enlarge_covariance, invert_information
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import (
+    EXPECTED_RATIO,
     MIN_KEPT_POOLED,
     MIN_POOLED,
     compute_f_ratio,
@@ -218,10 +219,14 @@ def _is_rig_contradicted(context: Context, state: JointState) -> bool:
     """Return whether the cameras contradict each other in most of the recording, which was searched in advance.
 
     That is known of all that moves, of a camera that was nudged or of other bodies as well, and replaced by what the
-    frames that were tracked show of the object.
+    frames that were tracked show of the object: at once if three cameras agree on it, as they do not with a wrong rig.
     """
-    is_possible = context.method in MAXIMUM_LIKELIHOOD and len(state.f_ratios) < context.options.n_pooled_f_ratios
-    return is_possible and context.is_contradicted
+    if context.method not in MAXIMUM_LIKELIHOOD or not context.is_contradicted:
+        return False
+    known = state.f_ratios
+    agree = len(context.rig) >= MIN_KEPT_POOLED and len(known) >= MIN_POOLED
+    agree = agree and pool_f_ratios(np.array(known)) < EXPECTED_RATIO
+    return not agree and len(known) < context.options.n_pooled_f_ratios
 
 
 def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:

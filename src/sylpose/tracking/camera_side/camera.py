@@ -43,7 +43,7 @@ from sylpose.landmarks.landmark_filter import (
     update_landmarks,
 )
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.camera_evidence import compare_motions
+from sylpose.relative_pose.camera_evidence import CameraEvidence, compare_motions
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
 from sylpose.tracking.camera_side.frame import (
@@ -567,37 +567,40 @@ class CameraTracker:
         )
         return near, float(np.mean(by_chance))
 
-    def compare_surroundings(self, images: FrameSet, first: SolvedFrame, pose: RigidTransform) -> FloatArray:
-        """Compare the motion of matches with the first frame inside, and outside of the object's region with its own.
+    def compare_surroundings(
+        self, images: FrameSet, first: SolvedFrame, pose: RigidTransform
+    ) -> tuple[float, CameraEvidence, float, CameraEvidence]:
+        """Compare the matches with the first frame, inside and outside of the object's region there, with its motion.
 
         Args:
             pose: world_from_object of the images.
 
         Returns:
-            (2, 2) inside and outside: the number of matches that follow the motion, without those expected by chance,
-            displaced in random directions; the excess of the camera's own motion (`camera_evidence`), NaN without evidence.
-            Outside the number is 0 unless more stand still: a camera that trembles displaces all.
+            inside, then outside: the number of matches that follow the motion, without those expected by chance, displaced
+            in random directions; the evidence of the camera's own motion. Outside the number is 0 unless more stand still: a
+            camera that trembles displaces all.
         """
         if first.number not in self.frames:
-            return np.array([(0.0, np.nan), (0.0, np.nan)])
+            return 0.0, CameraEvidence(), 0.0, CameraEvidence()
         camera_from_world = self.camera.camera_from_world
         motion = camera_from_world * pose * first.world_from_object.inv() * camera_from_world.inv()
-        depth = float(camera_from_world.apply(first.world_from_object.translation)[2])
+        distance = float(np.linalg.norm(camera_from_world.apply(first.world_from_object.translation)))
         current = self.detect(self.view_of(images), None, max_pixels=MAX_SEARCH_PIXELS)
-        inside, of_inside, _ = self._count_following(self.frames[first.number].features, current, motion, depth)
-        outside, of_outside, n_static = self._count_following(self.background_features, current, motion, depth)
-        return np.array([(inside, of_inside), (outside if outside < n_static else 0.0, of_outside)])
+        inside, of_inside, _ = self._compare_motion(self.frames[first.number].features, current, motion, distance)
+        outside, of_outside, n_static = self._compare_motion(self.background_features, current, motion, distance)
+        return inside, of_inside, outside if outside < n_static else 0.0, of_outside
 
-    def _count_following(
-        self, earlier: Features, current: Features, motion: RigidTransform, depth: float
-    ) -> tuple[float, float, int]:
-        """Count the matches that follow a motion in the camera's axes beyond chance, and those that have not moved.
+    def _compare_motion(
+        self, earlier: Features, current: Features, motion: RigidTransform, distance: float
+    ) -> tuple[float, CameraEvidence, int]:
+        """Compare matches with a motion in the camera's axes.
 
         Args:
-            depth: of the object.
+            distance: of the object.
 
         Returns:
-            the first number; the excess of the own motion of those that have moved; the second number.
+            the number of matches that follow the motion beyond chance; the evidence of those that have moved; the number of
+            those that have not.
         """
         i, j = match_features(earlier, current).T
         before_px, after_px = earlier.pixels[i], current.pixels[j]
@@ -609,8 +612,8 @@ class CameraTracker:
         residual_px = self.camera.focal * np.abs(sampson_distance(essential, x, y))
         by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
         following = ((residual_px < self.static_px) - by_chance).sum()
-        *_, excess, _ = compare_motions(x, y, self.camera.focal, rotation, motion.translation / depth)
-        return float(following), excess, int(np.count_nonzero(~has_moved))
+        compared = compare_motions(x, y, self.camera.focal, rotation, motion.translation / distance)
+        return float(following), CameraEvidence(*compared[:4]), int(np.count_nonzero(~has_moved))
 
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 
