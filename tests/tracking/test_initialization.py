@@ -134,7 +134,7 @@ def motion_errors(motion: FirstMotion) -> tuple[float, float]:
 def test_bodies_that_move_alike_are_separated(executor: LocalExecutor, rig: Rig, share: float) -> None:
     """They move by some pixels, and the cameras do not see most of the same one."""
     motions = [
-        make_motion(at, share * np.array(rotvec), share * np.array([0.01, -0.008, 0.012]))
+        make_motion(at, [share * x for x in rotvec], [share * x for x in (0.01, -0.008, 0.012)])
         for at, rotvec in ((AT, (0.05, 0.09, -0.04)), (ELSEWHERE, (-0.08, 0.03, 0.07)))
     ]
     bodies = [Body(n, at, motion) for n, at, motion in zip((60, 45), (AT, ELSEWHERE), motions, strict=True)]

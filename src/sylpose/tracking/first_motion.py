@@ -553,7 +553,8 @@ def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: R
     compare = partial(CameraTracker.compare_surroundings, images=frame.images, first=state.frames.first, pose=pose)
     nothing = 0.0, CameraEvidence(), 0.0, CameraEvidence()
     sides = context.executor.gather(context.executor.run(compare, context.cameras), nothing)
-    inside, outside = (np.maximum([own[k] for own in sides], 0.0) for k in (0, 2))
+    counts = np.array([(inside, outside) for inside, _, outside, _ in sides])
+    inside, outside = np.maximum(counts, 0.0).T
     # Three standard deviations of what a coin decides: too few matches may be another body that moves alike.
     is_significant = (outside - inside).sum() > 3.0 * np.sqrt((outside + inside).sum())
     if not is_significant or 2 * np.sum(outside > inside) <= np.sum(np.maximum(inside, outside) > 0.0):
