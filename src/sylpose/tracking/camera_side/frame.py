@@ -33,9 +33,8 @@ from sylpose.rig import Camera
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
 from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
-# Features displaced by less than this, in standard deviations of the camera's noise, are static: the difference of two
-# points of the same noise (chi-squared of two, once in a thousand times).
-STATIC_SIGMAS = float(np.sqrt(2.0 * chi_squared_bound(2)))
+# Features displaced by less than this, in standard deviations of the camera's noise, are static (choice).
+STATIC_SIGMAS = 5.0
 # Half length of a landmark's search range, in standard deviations of its depth (chi-squared, once in a thousand times).
 DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
