@@ -9,10 +9,9 @@ import pytest
 
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.limits import MAX_SAMPLES
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.joint_side.object_model import MAX_CLOUD_POINTS, ObjectModel
 
 AT = np.array([0.05, -0.03, 0.04])
 
@@ -117,19 +116,19 @@ def test_unknown_radius_adds_no_points() -> None:
     assert len(ObjectModel().add_points(make_cloud(50), 0).points) == 0
 
 
-@pytest.mark.parametrize("n", [MAX_SAMPLES - 1, MAX_SAMPLES, MAX_SAMPLES + 1, 5 * MAX_SAMPLES])
+@pytest.mark.parametrize("n", [MAX_CLOUD_POINTS - 1, MAX_CLOUD_POINTS, MAX_CLOUD_POINTS + 1, 5 * MAX_CLOUD_POINTS])
 def test_excess_points_are_subsampled(n: int) -> None:
     points = make_cloud(n)
     kept = ObjectModel(radius=1.0).add_points(points, 0).points
-    assert len(kept) == min(n, MAX_SAMPLES)
+    assert len(kept) == min(n, MAX_CLOUD_POINTS)
     rows = {tuple(p) for p in points.tolist()}
     assert len({tuple(p) for p in kept.tolist()} & rows) == len(kept)
 
 
 def test_old_and_new_points_are_kept_equally_likely() -> None:
     old, new = (
-        make_cloud(MAX_SAMPLES, 1) - np.array([1.0, 0, 0]),
-        make_cloud(MAX_SAMPLES, 2) + np.array([1.0, 0, 0]),
+        make_cloud(MAX_CLOUD_POINTS, 1) - np.array([1.0, 0, 0]),
+        make_cloud(MAX_CLOUD_POINTS, 2) + np.array([1.0, 0, 0]),
     )
     model = ObjectModel(radius=2.0).add_points(old, 0).add_points(new, 0)
     # Five standard deviations of a fair draw are 0.07.
@@ -137,7 +136,7 @@ def test_old_and_new_points_are_kept_equally_likely() -> None:
 
 
 def test_subsample_depends_on_seed_only() -> None:
-    model, points = ObjectModel(radius=1.0), make_cloud(2 * MAX_SAMPLES)
+    model, points = ObjectModel(radius=1.0), make_cloud(2 * MAX_CLOUD_POINTS)
     one, again, other = (model.add_points(points, seed).points for seed in (3, 3, 4))
     np.testing.assert_array_equal(one, again)
     assert not np.array_equal(one, other)
@@ -145,7 +144,7 @@ def test_subsample_depends_on_seed_only() -> None:
 
 def test_model_is_immutable() -> None:
     model = ObjectModel(radius=1.0, points=make_cloud(10))
-    model.add_points(make_cloud(2 * MAX_SAMPLES), 0)
+    model.add_points(make_cloud(2 * MAX_CLOUD_POINTS), 0)
     np.testing.assert_array_equal(model.points, make_cloud(10))
     with pytest.raises(FrozenInstanceError):
         model.radius = 2.0  # type: ignore[misc]

@@ -52,9 +52,9 @@ from sylpose.tracking.reports import Agreements, PoseAgreement, TrackingReport
 # An object that rotates by more than this per frame, radians, shows another side each time (measured:
 # benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
 FAST_ROTATION = np.radians(10.0)
-# A pose must agree with the one that its solution started from, by relocalization, within this share of the radius, and
-# within `FAST_ROTATION` (choice).
-MAX_START_TRANSLATION = 0.3
+# A pose must agree with the one that its solution started from, by relocalization, within this rotation and share of the
+# radius (choice).
+MAX_START_ROTATION, MAX_START_TRANSLATION = 0.17, 0.3
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
 # (choice).
 VELOCITY_ROUNDS = 2
@@ -366,7 +366,7 @@ def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransf
     difference = candidate.pose * pose.inv()
     distance = np.linalg.norm(difference.apply(pose.translation) - pose.translation)
     is_far = distance > MAX_START_TRANSLATION * state.object.radius
-    return bool(not is_far and difference.rotation.magnitude() <= FAST_ROTATION)
+    return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
 
 
 # --- all features -----------------------------------------------------------------------------------------------------

@@ -384,18 +384,14 @@ def select_references(
 
 
 def find_nearest_views(
-    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, count: int, max_angle: float = np.inf
+    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, count: int
 ) -> list[SolvedFrame]:
-    """Return up to `count` keyframes nearest to a camera viewpoint (3,), nearest first.
-
-    Args:
-        max_angle: maximum angle, radians.
-    """
+    """Return up to `count` keyframes nearest to a camera viewpoint (3,), nearest first."""
     if not keyframes:
         return []
     angle = np.nan_to_num(_compute_angles(viewpoint[None], _get_viewpoints(keyframes, camera))[0], nan=np.inf)
     order = np.argsort(angle, kind="stable")[:count]
-    return [keyframes[i] for i in order if np.isfinite(angle[i]) and angle[i] <= max_angle]
+    return [keyframes[i] for i in order if np.isfinite(angle[i])]
 
 
 def add_keyframe(

@@ -9,9 +9,10 @@ import numpy as np
 
 from sylpose.frames import Box
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.relative_pose.limits import MAX_SAMPLES
 from sylpose.rig import Camera, Rig, intersect_rays
 
+# Maximum number of object points that define the search region (choice).
+MAX_CLOUD_POINTS = 600
 # So many points of known depth describe the object's surface (choice).
 MIN_SURFACE_POINTS = 20
 # Points per axis of the grids carved by the boxes; number of grids, each fitted to what the previous one has left
@@ -52,8 +53,8 @@ class ObjectModel:
     def add_points(self, points: FloatArray, seed: int) -> ObjectModel:
         """Add points (n, 3) on the object to the cloud; keep a random subset if there are too many."""
         points = np.concatenate([self.points, points[np.linalg.norm(points, axis=1) < 2.0 * self.radius]])
-        if len(points) > MAX_SAMPLES:
-            points = points[np.random.default_rng(seed).choice(len(points), MAX_SAMPLES, replace=False)]
+        if len(points) > MAX_CLOUD_POINTS:
+            points = points[np.random.default_rng(seed).choice(len(points), MAX_CLOUD_POINTS, replace=False)]
         return replace(self, points=points)
 
 
