@@ -1,4 +1,7 @@
-"""Frames that a refinement loses because their poses start far off are relocalized; inconsistent ones are detected."""
+"""Frames that a refinement loses because their poses start far off are relocalized; inconsistent ones are detected.
+
+A path that breaks because a part of it starts far off is refined again.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.bundle import Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.bundle_adjustment.scale_prior import (
     bundle_adjust_with_scale,
     find_lost_frames,
     find_repeated_observations,
+    has_break,
     relocalize_lost_frames,
 )
 from sylpose.geometry.arrays import BoolArray
@@ -88,3 +92,33 @@ def test_landmarks_observed_once_are_ignored(seen: tuple[RigidTransform, Observa
     _, observations = seen
     counts = np.bincount(observations.landmark)
     np.testing.assert_array_equal(find_repeated_observations(observations), counts[observations.landmark] >= 2)
+
+
+def turn_once(n: int) -> tuple[RigidTransform, Observations]:
+    """Return n poses of one turn, and observations of which few connect the poses from 8 to n - 4 with the others."""
+    axis = np.array([0.3, 1.0, 0.2]) / np.linalg.norm([0.3, 1.0, 0.2])
+    poses = RigidTransform.from_rotation(Rotation.from_rotvec((np.arange(n + 3) * 2.0 * np.pi / n)[:, None] * axis))
+    seen = tracks([poses] * len(RIG), 15, 0.1, 0, longest=6)  # the last three poses are the first ones again
+    is_split = np.random.default_rng(3).random(seen.landmark.max() + 1) < 0.6
+    part = (seen.frame >= 8).astype(int) + (seen.frame >= n - 3)
+    landmark = seen.landmark + np.where(is_split[seen.landmark], part * len(is_split), 0)
+    _, landmark = np.unique(landmark, return_inverse=True)
+    order = np.argsort(seen.frame % n, kind="stable")
+    return poses[:n], Observations(seen.frame[order] % n, seen.camera[order], landmark[order], seen.image[order])
+
+
+def test_broken_path_is_refined_again() -> None:
+    truth, observations = turn_once(24)
+    best = bundle_adjust(RIG, observations, truth, RADIUS)
+    is_turned = (np.arange(24) >= 8) & (np.arange(24) < 21)
+    turn = Rotation.from_rotvec(np.deg2rad(12.0) * is_turned[:, None] * np.array([0.0, 1.0, 0.0]))
+    start = RigidTransform.from_rotation(turn) * truth
+    first = np.zeros(len(best.landmarks), int)
+    first[observations.landmark[::-1]] = observations.frame[::-1]
+    options = BundleOptions(landmarks=(start[first].inv() * truth[first]).apply(best.landmarks))
+    alone = bundle_adjust(RIG, observations, start, RADIUS, options)
+    assert has_break(alone, observations)
+    assert not has_break(best, observations)
+    assert np.abs(error(truth, alone.world_from_object)[:, :3]).max() > np.deg2rad(4.0)
+    found = bundle_adjust_with_scale(RIG, observations, start, RADIUS, options)
+    assert np.abs(error(best.world_from_object, found.world_from_object)[:, :3]).max() < np.deg2rad(0.05)

@@ -41,6 +41,8 @@ SIGMA_TOLERANCE, MAX_SIGMA_ITERATIONS = 0.05, 8
 # A rough start's lower limit of the noise falls by this factor per iteration (choice: from ten pixels to the noise floor
 # in five).
 GRADUATION = 3.0
+# Errors of reprojection with which a rough start begins, pixels (choice: more than the tracker's drift).
+ROUGH_PX = 10.0
 # Weights are updated until the step's square, in standard deviations and per frame, is less than this, or for so many
 # iterations; then they are fixed: each weight that still changes moves the rest slightly, in ever more iterations
 # (choice).

@@ -24,7 +24,7 @@ from sylpose.bundle_adjustment.bundle import (
     bundle_adjust,
     resolve_fixed_frames,
 )
-from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, relocalize
+from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, recover
 from sylpose.geometry.arrays import BoolArray, IntArray
 from sylpose.geometry.matrices import enlarge_covariance
 from sylpose.rig import Rig
@@ -229,8 +229,9 @@ def _refine_segment(
         calibration_prior=None,
         on_iteration=None,
     )
-    part = bundle_adjust(rig, own, result.world_from_object[frames], radius, own_options)
-    return relocalize(rig, own, part, radius, own_options)
+    start = result.world_from_object[frames]
+    part = bundle_adjust(rig, own, start, radius, own_options)
+    return recover(rig, own, start, part, radius, own_options)
 
 
 def _merge_segments(result: BundleResult, observations: Observations, segments: Sequence[_Segment]) -> BundleResult:

@@ -5,9 +5,11 @@ From the tracker's poses, the refinement may not reach the other solution, and n
 also starts without rotation. The better solution is used; if it is not much better, their difference is added to the
 covariance.
 
-Frames that a refinement lost are relocalized. A robust refinement does not recover a pose that starts far from the truth:
-it treats all observations of the frame as outliers, agrees better with all other frames, and the pose drifts. Its
-landmarks are known from these other frames, so the pose can be estimated independently (`absolute_pose`).
+A robust refinement does not recover from a start far from the truth: it treats the observations that disagree as
+outliers. If the object has turned once around, the tracker's drift is such a disagreement, and the path breaks where
+the fewest observations connect it. So a frame that a refinement lost is relocalized: its landmarks are known from
+other frames, and its pose can be estimated independently (`absolute_pose`). If frames are still lost, or it does not
+converge, it starts again with graduated weights (`BundleOptions.rough_px`). The better solution is used.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.bundle_adjustment.bundle import (
     DEFAULT_OPTIONS,
+    ROUGH_PX,
     BundleOptions,
     BundleResult,
     Observations,
@@ -71,7 +74,7 @@ def bundle_adjust_with_scale(
         rig, observations, world_from_object, radius, options: as of `bundle_adjust`.
     """
     result, alternative_covariance = _bundle_from_two_starts(rig, observations, world_from_object, radius, options)
-    result = relocalize(rig, observations, result, radius, options)
+    result = recover(rig, observations, world_from_object, result, radius, options)
     depth_prior = None
     if len(rig) > 1 and is_scale_unobservable(result):
         depth_prior = _estimate_depth_prior(rig, observations, result, radius)
@@ -106,8 +109,8 @@ def _bundle_from_two_starts(
     costs = _compute_costs(result, static_result, observations, repeated)
     best, second = result, static_result
     if costs[1] < costs[0]:
-        new_options, second = replace(options, landmarks=static_result.landmarks), result
-        best = bundle_adjust(rig, observations, static_result.world_from_object, radius, new_options)
+        best = _restart(rig, observations, static_result, static_result.world_from_object, radius, options)
+        second = result
         if has_lost_frame(best, result, observations, repeated):
             return result, no_difference
     if max(costs) > CLEAR_COST_RATIO * min(costs):
@@ -197,20 +200,53 @@ def find_lost_frames(result: BundleResult, observations: Observations) -> BoolAr
     return np.asarray((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals))
 
 
-def relocalize(
-    rig: Rig, observations: Observations, result: BundleResult, radius: float, options: BundleOptions
+def has_break(result: BundleResult, observations: Observations) -> bool:
+    """Return whether the observations that connect two successive frames are mostly outliers."""
+    order = np.lexsort((observations.frame, observations.landmark))
+    frame, landmark, weights = observations.frame[order], observations.landmark[order], result.weights[order]
+    is_next = (np.diff(frame) == 1) & (np.diff(landmark) == 0)
+    is_inlier = np.minimum(weights[1:], weights[:-1])[is_next] > 0
+    totals, inliers = np.bincount(frame[1:][is_next]), np.bincount(frame[1:][is_next], is_inlier)
+    return bool(((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals)).any())
+
+
+def recover(
+    rig: Rig,
+    observations: Observations,
+    world_from_object: RigidTransform,
+    result: BundleResult,
+    radius: float,
+    options: BundleOptions,
 ) -> BundleResult:
-    """Return a result with its lost frames relocalized and refined with all others, if that explains more.
+    """Return a result; if it lost frames or did not converge, the best one of it and of other starts.
 
     Args:
-        rig, observations, radius, options: as of `bundle_adjust`.
+        rig, observations, world_from_object, radius, options: as of `bundle_adjust`.
     """
-    fixed_mask = resolve_fixed_frames(options.fixed, len(result.covariance))
-    start = relocalize_lost_frames(rig, observations, result, fixed_mask)
-    if start is None:
-        return result
-    alternative = bundle_adjust(rig, observations, start, radius, replace(options, landmarks=result.landmarks))
-    return alternative if _is_better(alternative, result, observations) else result
+    fixed = resolve_fixed_frames(options.fixed, len(result.covariance))
+    poses = relocalize_lost_frames(rig, observations, result, fixed)
+    if poses is not None:
+        alternative = _restart(rig, observations, result, poses, radius, options)
+        result = alternative if _is_better(alternative, result, observations) else result
+    if result.status is Status.NOT_CONVERGED or has_break(result, observations):
+        rough_options = replace(options, recalibrate=False, rough_px=ROUGH_PX)
+        alternative = bundle_adjust(rig, observations, world_from_object, radius, rough_options)
+        if options.recalibrate:
+            alternative = _restart(rig, observations, alternative, alternative.world_from_object, radius, options)
+        result = alternative if _is_better(alternative, result, observations) else result
+    return result
+
+
+def _restart(
+    rig: Rig,
+    observations: Observations,
+    result: BundleResult,
+    poses: RigidTransform,
+    radius: float,
+    options: BundleOptions,
+) -> BundleResult:
+    """Run `bundle_adjust` from poses and the landmarks of a result."""
+    return bundle_adjust(rig, observations, poses, radius, replace(options, landmarks=result.landmarks))
 
 
 def relocalize_lost_frames(

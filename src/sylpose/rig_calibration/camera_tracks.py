@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import ROUGH_PX, BundleOptions, BundleResult, Observations, bundle_adjust
 from sylpose.bundle_adjustment.scale_prior import find_lost_frames
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import FloatArray, IntArray
@@ -24,8 +24,6 @@ from sylpose.smoothing import Track, collect_observations, stack_poses
 from sylpose.status import Status
 from sylpose.tracking.tracker import track
 
-# Errors of reprojection with which the refinement starts, pixels (choice: more than the tracker's drift).
-ROUGH_PX = 10.0
 # A track needs so many frames (choice: fewer leave no redundancy).
 MIN_FRAMES = 6
 # Reverses depth.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import ROUGH_PX, BundleOptions, Observations, bundle_adjust
 from sylpose.bundle_adjustment.calibration_refinement import (
     N_CAMERA_PARAMETERS,
     CalibrationPrior,
@@ -20,7 +20,7 @@ from sylpose.bundle_adjustment.calibration_refinement import (
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.rig import Camera, Rig
-from sylpose.rig_calibration.camera_tracks import ROUGH_PX, RefinedTrack
+from sylpose.rig_calibration.camera_tracks import RefinedTrack
 from sylpose.rig_calibration.relative_motions import RelativeExtrinsics
 from sylpose.rig_calibration.result import Coverage, measure_cells
 from sylpose.status import Status
