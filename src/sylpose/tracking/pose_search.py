@@ -122,7 +122,7 @@ SearchResult = tuple[JointState, PoseCandidate | None]
 def find_pose(context: Context, state: JointState, frame: Frame, guess: RigidTransform) -> SearchResult:
     """Search for the frame's pose near a guess (world_from_object)."""
     pairs: CameraPairs = _match_references(context, state, frame, guess)
-    is_open = state.object.is_bounded and not state.motion.has_moved
+    is_open = state.object.is_bounded and not state.may_have_moved
     if is_open and is_box_center_static(context, state, frame, pairs):
         # Something other than the object moves in the boxes.
         last_pose = state.last.world_from_object
