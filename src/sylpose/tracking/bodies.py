@@ -65,8 +65,6 @@ MIN_LINK_RATIO = 0.2
 # or if their centers are nearer to each other than this, radii of the smaller one (derived: the side that is visible
 # changes, and is at most a radius away).
 MAX_DISTANCE_RADII = 1.0
-# Two motions whose centers are nearer to each other than this, radii of the smaller one, are of one body (choice).
-MIN_DISTANCE_RADII = 0.5
 # Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
 # evenly over a disk the farthest is at 1.4).
 MAX_DISTANCE_RATIO = 2.5
@@ -248,11 +246,8 @@ def has_rival(context: Context, pairs: CameraPairs, first_number: int, motion: F
 def _count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> int:
     """Count the matches of another body in the cameras that see both; 0 if these are fewer than two.
 
-    A faulty camera has most of its matches on one side, and shows another motion at the object's place.
+    A faulty camera has most of its matches on one side. Where the bodies are does not matter: a hand is at the object.
     """
-    distance = np.linalg.norm(motion.inlier_center - other.inlier_center)
-    if distance < MIN_DISTANCE_RADII * min(motion.radius, other.radius):
-        return 0
     counts = [
         np.array(context.executor.gather([sum(map(len, own)) for own in its.inliers], 0)) for its in (motion, other)
     ]
