@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sylpose.features.patches import RADIUS, REACH, SIDE, Patches, find_unmoved, sample_patches
+from sylpose.features.patches import RADIUS, REACH, SIDE, Patches, find_replaced, find_unmoved, sample_patches
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 
 
@@ -99,3 +99,23 @@ def test_border_repeats_the_image(size: tuple[int, int]) -> None:
     assert patches[0, 0, 0] == image[0, 0]
     assert patches[1, -1, -1] == image[-1, -1]
     assert find_unmoved(patches, pixels, patches, pixels).all()
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.0, 1.3])
+def test_replaced_places_are_found_in_any_light(gain: float) -> None:
+    pixels = draw_pixels()
+    before = sample(make_image(1, 3.0), pixels)
+    relit = np.clip(gain * make_image(2, 3.0).astype(float) - 10, 0, 255).astype(np.uint8)
+    assert not find_replaced(before, sample(relit, pixels)).any()
+    assert find_replaced(before, sample(relit[::-1, ::-1], pixels)).mean() > 0.9
+    assert find_replaced(before, sample(make_image(2, 3.0, (6.0, 3.0)), pixels)).mean() > 0.9
+    flat = np.full((120, 160), 90, np.uint8)
+    assert find_replaced(before, sample(flat, pixels)).all()
+
+
+def test_unknown_places_are_not_replaced() -> None:
+    pixels = draw_pixels(5)
+    known, unknown = sample(make_image(), pixels), np.zeros((5, SIDE, SIDE), np.uint8)
+    assert not find_replaced(known, unknown).any()
+    assert not find_replaced(unknown, known).any()
+    assert find_replaced(known[:0], known[:0]).shape == (0,)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
@@ -128,3 +130,26 @@ def test_body_that_continues_outside_of_the_boxes(monkeypatch: pytest.MonkeyPatc
     outside = list(track(clip.frames(), clip.rig, small))
     assert set(statuses(outside)[1:]) == {FrameStatus.AMBIGUOUS}
     assert outside[-1].pose.reason == OUTSIDE_REASON
+
+
+def test_object_that_left_only_background_is_uncertain() -> None:
+    """It turns too fast for any match: all matches are of the wall, which stands still."""
+    clip = Clip.render(moving_scene(lambda frame: make_rotated_pose(75.0 * frame), 4))
+    assert clip.boxes is not None
+    large = {
+        name: Box(box.x - 0.3 * box.width, box.y - 0.3 * box.height, 1.6 * box.width, 1.6 * box.height)
+        for name, box in clip.boxes.items()
+    }
+    found = list(track(clip.frames(), clip.rig, large))
+    assert not {FrameStatus.TRACKED, FrameStatus.RELOCALIZED} & set(statuses(found)[1:])
+    assert any(frame.pose.status is FrameStatus.UNCERTAIN for frame in found)
+
+
+def test_resting_object_is_tracked_in_fading_light() -> None:
+    clip = Clip.render(moving_scene(lambda frame: make_rotated_pose(0.0 * frame), 4))
+    fading = [
+        replace(frames, images=tuple(None if own is None else (light * own).astype(np.uint8) for own in frames.images))
+        for frames, light in zip(clip.frames(), (1.0, 0.9, 0.8, 0.7), strict=True)
+    ]
+    found = list(track(fading, clip.rig, clip.boxes))
+    assert statuses(found)[1:] == [FrameStatus.TRACKED] * 3

@@ -109,3 +109,22 @@ def _interpolate(patch: Patches, x: float, y: float) -> float:
     upper = (1.0 - fx) * patch[row, column] + fx * patch[row, column + 1]
     lower = (1.0 - fx) * patch[row + 1, column] + fx * patch[row + 1, column + 1]
     return float((1.0 - fy) * upper + fy * lower)
+
+
+def find_replaced(before: Patches, after: Patches) -> BoolArray:
+    """Find the places (n,) at which two images of a static camera have less than half of their variance in common.
+
+    A change of light does not matter: this is the squared correlation of the two patches.
+
+    Args:
+        before, after: (n, SIDE, SIDE) `sample_patches` at the same pixels; one that is black everywhere is unknown.
+    """
+    middle = slice(REACH, REACH + 2 * RADIUS + 1)
+    a, b = (
+        patches[:, middle, middle].reshape(len(patches), (2 * RADIUS + 1) ** 2).astype(float)
+        for patches in (before, after)
+    )
+    a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
+    common, variances = (a * b).sum(axis=1), (a * a).sum(axis=1) * (b * b).sum(axis=1)
+    is_known = before.any(axis=(1, 2)) & after.any(axis=(1, 2))
+    return np.asarray(is_known & ((common <= 0.0) | (2.0 * common**2 < variances)))

@@ -80,7 +80,8 @@ MAX_GROUP_DISTANCE_PX = 0.5
 MAX_PAIRED_TERMS = 4
 
 
-# Reason for an ambiguous object in boxes.
+# Reasons for an uncertain and for an ambiguous object in boxes.
+REPLACED_REASON = "the images show something else where the object rested: it moves, or something covers it"
 OUTSIDE_REASON = "most of what moves like the content of the boxes is outside of them: another body, or too small boxes"
 
 
@@ -564,12 +565,33 @@ def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: R
     return not (of_inside < EXPECTED_RATIO and of_outside > context.options.max_f_ratio)
 
 
+def is_replaced(context: Context, state: JointState, frame: Frame) -> bool:
+    """Return whether an object that seems to rest is not what the images show at the centers of its boxes.
+
+    At least two cameras have to see something else, since something may pass in front of one. That is evidence even if no
+    feature was found again: what moves fast, or in front of a static pattern, leaves only static matches.
+    """
+    centers = [_shrink(region) for region in context.project_regions(state, state.frames.first.world_from_object)]
+    count = partial(CameraTracker.count_replaced, images=frame.images, first=state.frames.first)
+    counts = context.executor.gather(
+        [count(camera, center=center) for camera, center in zip(context.cameras, centers, strict=True)], (0, 0)
+    )
+    total, replaced = np.array(counts).T
+    is_seen = replaced > MISMATCH_PROBABILITY * total
+    return bool(replaced.sum() >= MIN_MATCHES and is_seen.sum() >= min(2, np.count_nonzero(total)))
+
+
 def count_center_features(camera: CameraTracker, features: Features, region: Region) -> int:
     """Count a camera's features in the center of the object's region."""
+    return 0 if region is None else int(camera.find_inside(features, _shrink(region)).sum())
+
+
+def _shrink(region: Region) -> Region:
+    """Return the center of an object's region."""
     if region is None:
-        return 0
+        return None
     middle = region.mean(axis=0)
-    return int(camera.find_inside(features, middle + CENTER_RATIO * (region - middle)).sum())
+    return np.asarray(middle + CENTER_RATIO * (region - middle))
 
 
 def select_static_matches(frame: Frame, pairs: CameraPairs) -> CameraPairs:

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
-from sylpose.features.patches import sample_patches
+from sylpose.features.patches import find_replaced, sample_patches
 from sylpose.features.search_windows import SearchWindows
 from sylpose.features.sift import (
     FULL_RESOLUTION,
@@ -614,6 +614,16 @@ class CameraTracker:
         following = ((residual_px < self.static_px) - by_chance).sum()
         compared = compare_motions(x, y, self.camera.focal, rotation, motion.translation / distance)
         return float(following), CameraEvidence(*compared[:4]), int(np.count_nonzero(~has_moved))
+
+    def count_replaced(self, images: FrameSet, first: SolvedFrame, center: Region) -> tuple[int, int]:
+        """Count the first frame's features in a region, and those of them at whose place the image shows something else."""
+        image = self.view_of(images)[0]
+        if image is None or center is None or first.number not in self.frames:
+            return 0, 0
+        features = self.frames[first.number].features
+        features = features.subset(np.flatnonzero(self.find_inside(features, center)))
+        patches = sample_patches(to_gray(image), features.pixels, FULL_RESOLUTION, np.zeros(2))
+        return len(features), int(np.count_nonzero(find_replaced(features.patches, patches)))
 
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 
