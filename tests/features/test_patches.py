@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sylpose.features.patches import RADIUS, REACH, SIDE, Patches, find_replaced, find_unmoved, sample_patches
+from sylpose.features.patches import (
+    RADIUS,
+    REACH,
+    SIDE,
+    Patches,
+    estimate_noise_variance,
+    find_replaced,
+    find_unmoved,
+    sample_patches,
+)
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 
 
@@ -101,21 +110,42 @@ def test_border_repeats_the_image(size: tuple[int, int]) -> None:
     assert find_unmoved(patches, pixels, patches, pixels).all()
 
 
-@pytest.mark.parametrize("gain", [0.6, 1.0, 1.3])
-def test_replaced_places_are_found_in_any_light(gain: float) -> None:
+@pytest.mark.parametrize(("gain", "noise"), [(0.6, 3.0), (1.0, 0.0), (1.0, 12.0), (1.3, 3.0)])
+def test_replaced_places_are_found_in_any_light(gain: float, noise: float) -> None:
     pixels = draw_pixels()
-    before = sample(make_image(1, 3.0), pixels)
-    relit = np.clip(gain * make_image(2, 3.0).astype(float) - 10, 0, 255).astype(np.uint8)
-    assert not find_replaced(before, sample(relit, pixels)).any()
-    assert find_replaced(before, sample(relit[::-1, ::-1], pixels)).mean() > 0.9
-    assert find_replaced(before, sample(make_image(2, 3.0, (6.0, 3.0)), pixels)).mean() > 0.9
+    before = sample(make_image(1, noise), pixels)
+
+    def compare_places(later: Image) -> tuple[BoolArray, BoolArray]:
+        return find_replaced(before, sample(later, pixels), noise**2)
+
+    relit = np.clip(gain * make_image(2, noise).astype(float) - 10, 0, 255).astype(np.uint8)
+    is_known, is_replaced = compare_places(relit)
+    assert is_known.mean() > 0.5
+    assert is_replaced.mean() < 0.01
+    assert compare_places(make_image(2, noise, (3.0, 2.0)))[1].mean() < 0.03  # within reach
+    assert compare_places(relit[::-1, ::-1])[1].sum() > 0.4 * is_known.sum()
+    assert compare_places(make_image(2, noise, (14.0, 9.0)))[1].sum() > 0.4 * is_known.sum()
     flat = np.full((120, 160), 90, np.uint8)
-    assert find_replaced(before, sample(flat, pixels)).all()
+    np.testing.assert_array_equal(compare_places(flat)[1], is_known)
 
 
-def test_unknown_places_are_not_replaced() -> None:
+def test_places_without_texture_are_unknown() -> None:
     pixels = draw_pixels(5)
-    known, unknown = sample(make_image(), pixels), np.zeros((5, SIDE, SIDE), np.uint8)
-    assert not find_replaced(known, unknown).any()
-    assert not find_replaced(unknown, known).any()
-    assert find_replaced(known[:0], known[:0]).shape == (0,)
+    known, unknown, flat = (
+        sample(make_image(), pixels),
+        np.zeros((5, SIDE, SIDE), np.uint8),
+        np.full((5, SIDE, SIDE), 9, np.uint8),
+    )
+    for before, after in ((known, unknown), (unknown, known), (flat, known)):
+        assert not np.any(find_replaced(before, after, 0.0))
+    assert not np.any(find_replaced(known, known[::-1], 1e6))
+    assert [own.shape for own in find_replaced(known[:0], known[:0], 1.0)] == [(0,), (0,)]
+
+
+@pytest.mark.parametrize("noise", [1.0, 4.0, 9.0])
+def test_noise_variance_of_a_scene_that_moves_in_part(noise: float) -> None:
+    pixels = draw_pixels()
+    before, after = sample(make_image(1, noise), pixels), sample(make_image(2, noise), pixels)
+    after[::2] = after[1::2]  # half of the places show something else
+    assert estimate_noise_variance(before, after) == pytest.approx(noise**2, rel=0.3)
+    assert estimate_noise_variance(before[:0], after[:0]) == 0.0

@@ -8,7 +8,7 @@ covariance.
 A robust refinement does not recover from a start far from the truth: it treats the observations that disagree as
 outliers. If the object has turned once around, the tracker's drift is such a disagreement, and the path breaks where
 the fewest observations connect it. So a frame that a refinement lost is relocalized: its landmarks are known from
-other frames, and its pose can be estimated independently (`absolute_pose`). If frames are still lost, or it does not
+other frames, and its pose can be estimated independently (`absolute_pose`). If the path still breaks, or it does not
 converge, it starts again with graduated weights (`BundleOptions.rough_px`). The better solution is used.
 """
 
@@ -200,11 +200,17 @@ def find_lost_frames(result: BundleResult, observations: Observations) -> BoolAr
     return np.asarray((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals))
 
 
-def has_break(result: BundleResult, observations: Observations) -> bool:
-    """Return whether the observations that connect two successive frames are mostly outliers."""
-    order = np.lexsort((observations.frame, observations.landmark))
-    frame, landmark, weights = observations.frame[order], observations.landmark[order], result.weights[order]
-    is_next = (np.diff(frame) == 1) & (np.diff(landmark) == 0)
+def has_break(result: BundleResult, observations: Observations, fixed: BoolArray) -> bool:
+    """Return whether the observations that connect two successive frames are mostly outliers.
+
+    Args:
+        fixed: (N,) fixed frames; what connects two of these does not count.
+    """
+    order = np.lexsort((observations.frame, observations.camera, observations.landmark))
+    frame, camera, landmark = (x[order] for x in (observations.frame, observations.camera, observations.landmark))
+    weights = result.weights[order]
+    is_next = (np.diff(frame) == 1) & (np.diff(camera) == 0) & (np.diff(landmark) == 0)
+    is_next &= ~(fixed[frame[1:]] & fixed[frame[:-1]])
     is_inlier = np.minimum(weights[1:], weights[:-1])[is_next] > 0
     totals, inliers = np.bincount(frame[1:][is_next]), np.bincount(frame[1:][is_next], is_inlier)
     return bool(((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals)).any())
@@ -218,22 +224,24 @@ def recover(
     radius: float,
     options: BundleOptions,
 ) -> BundleResult:
-    """Return a result; if it lost frames or did not converge, the best one of it and of other starts.
+    """Return a result; if it lost frames, did not converge or has a break, the best one of it and of other starts.
 
     Args:
-        rig, observations, world_from_object, radius, options: as of `bundle_adjust`.
+        rig, observations, world_from_object, radius, options: as of `bundle_adjust`. With `options.coarse`, lost frames are
+            relocalized only, as time is short.
     """
     fixed = resolve_fixed_frames(options.fixed, len(result.covariance))
     poses = relocalize_lost_frames(rig, observations, result, fixed)
     if poses is not None:
         alternative = _restart(rig, observations, result, poses, radius, options)
         result = alternative if _is_better(alternative, result, observations) else result
-    if result.status is Status.NOT_CONVERGED or has_break(result, observations):
+    if not options.coarse and (result.status is Status.NOT_CONVERGED or has_break(result, observations, fixed)):
         rough_options = replace(options, recalibrate=False, rough_px=ROUGH_PX)
         alternative = bundle_adjust(rig, observations, world_from_object, radius, rough_options)
         if options.recalibrate:
             alternative = _restart(rig, observations, alternative, alternative.world_from_object, radius, options)
-        result = alternative if _is_better(alternative, result, observations) else result
+        is_allowed = alternative.status is Status.OK or result.status is not Status.OK
+        result = alternative if is_allowed and _is_better(alternative, result, observations) else result
     return result
 
 

@@ -15,6 +15,7 @@ texture has another brightness there as soon as it moved by about half of a pixe
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
@@ -30,6 +31,9 @@ SIDE = 2 * (RADIUS + REACH) + 2
 MAX_VARIANCE_RATIO = 1.97
 # Variance of the difference of two rounded gray values (derived).
 ROUNDING_VARIANCE = 2.0 / 12.0
+# A patch shows texture if its variance is at least so many times that of the noise (derived: then the squared correlation of
+# two images of it is 0.64, three standard deviations of 49 pixels above a half).
+MIN_TEXTURE_RATIO = 5.0
 
 Patches = NDArray[np.uint8]
 
@@ -111,20 +115,39 @@ def _interpolate(patch: Patches, x: float, y: float) -> float:
     return float((1.0 - fy) * upper + fy * lower)
 
 
-def find_replaced(before: Patches, after: Patches) -> BoolArray:
-    """Find the places (n,) at which two images of a static camera have less than half of their variance in common.
+def find_replaced(before: Patches, after: Patches, noise_variance: float) -> tuple[BoolArray, BoolArray]:
+    """Find the places at which a later image of a static camera shows something else.
 
-    A change of light does not matter: this is the squared correlation of the two patches.
+    Nowhere near such a place, within REACH, has the later image half of its variance in common with the earlier patch. A
+    change of light does not matter, since this is a squared correlation.
 
     Args:
         before, after: (n, SIDE, SIDE) `sample_patches` at the same pixels; one that is black everywhere is unknown.
+        noise_variance: of both images, squared gray values.
+
+    Returns:
+        (n,) known places, with at least so much texture that noise alone would not hide what is common; (n,) those of them
+        that show something else.
+    """
+    side = 2 * RADIUS + 1
+    a = before[:, REACH : REACH + side, REACH : REACH + side].reshape(len(before), side**2).astype(float)
+    shifted = sliding_window_view(after[:, :-1, :-1].astype(float), (side, side), axis=(1, 2))
+    b = shifted.reshape(len(after), (2 * REACH + 1) ** 2, side**2)
+    a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=2, keepdims=True)
+    common, variances = np.einsum("ni,nsi->ns", a, b), np.einsum("nsi,nsi->ns", b, b)
+    total = (a * a).sum(axis=1)
+    is_known = after.any(axis=(1, 2)) & (
+        total > MIN_TEXTURE_RATIO * side**2 * (noise_variance + 0.5 * ROUNDING_VARIANCE)
+    )
+    is_common = (common > 0.0) & (2.0 * common**2 >= total[:, None] * variances)
+    return np.asarray(is_known), np.asarray(is_known & ~is_common.any(axis=1))
+
+
+def estimate_noise_variance(before: Patches, after: Patches) -> float:
+    """Estimate the variance of the noise of two images of a static camera from patches at the same pixels.
+
+    It is that of the quarter of the patches that differ least: the others may show what moves. 0 without patches.
     """
     middle = slice(REACH, REACH + 2 * RADIUS + 1)
-    a, b = (
-        patches[:, middle, middle].reshape(len(patches), (2 * RADIUS + 1) ** 2).astype(float)
-        for patches in (before, after)
-    )
-    a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
-    common, variances = (a * b).sum(axis=1), (a * a).sum(axis=1) * (b * b).sum(axis=1)
-    is_known = before.any(axis=(1, 2)) & after.any(axis=(1, 2))
-    return np.asarray(is_known & ((common <= 0.0) | (2.0 * common**2 < variances)))
+    difference = before[:, middle, middle].astype(float) - after[:, middle, middle]
+    return float(np.quantile(difference.var(axis=(1, 2)), 0.25)) / 2.0 if len(before) else 0.0

@@ -80,8 +80,7 @@ MAX_GROUP_DISTANCE_PX = 0.5
 MAX_PAIRED_TERMS = 4
 
 
-# Reasons for an uncertain and for an ambiguous object in boxes.
-REPLACED_REASON = "the images show something else where the object rested: it moves, or something covers it"
+# Reason for an ambiguous object in boxes.
 OUTSIDE_REASON = "most of what moves like the content of the boxes is outside of them: another body, or too small boxes"
 
 
@@ -566,19 +565,17 @@ def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: R
 
 
 def is_replaced(context: Context, state: JointState, frame: Frame) -> bool:
-    """Return whether an object that seems to rest is not what the images show at the centers of its boxes.
+    """Return whether the images show something else at the centers of the boxes than in the first frame.
 
-    At least two cameras have to see something else, since something may pass in front of one. That is evidence even if no
-    feature was found again: what moves fast, or in front of a static pattern, leaves only static matches.
+    At least two cameras have to, if there are: something may pass in front of one. It is evidence of a motion without any
+    match: what moves fast, or behind a static pattern, leaves only static ones.
     """
-    centers = [_shrink(region) for region in context.project_regions(state, state.frames.first.world_from_object)]
+    regions = context.project_regions(state, state.frames.first.world_from_object)
     count = partial(CameraTracker.count_replaced, images=frame.images, first=state.frames.first)
-    counts = context.executor.gather(
-        [count(camera, center=center) for camera, center in zip(context.cameras, centers, strict=True)], (0, 0)
-    )
-    total, replaced = np.array(counts).T
-    is_seen = replaced > MISMATCH_PROBABILITY * total
-    return bool(replaced.sum() >= MIN_MATCHES and is_seen.sum() >= min(2, np.count_nonzero(total)))
+    own_counts = context.executor.run(count, context.cameras, list(map(_shrink, regions)))
+    total, replaced = np.array(context.executor.gather(own_counts, (0, 0))).T
+    is_other = replaced > MISMATCH_PROBABILITY * total
+    return bool(replaced.sum() >= MIN_MATCHES and is_other.sum() >= min(2, len(context.rig)))
 
 
 def count_center_features(camera: CameraTracker, features: Features, region: Region) -> int:

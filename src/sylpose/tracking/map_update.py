@@ -28,7 +28,7 @@ from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
 from sylpose.tracking.camera_side.frame import ReobservedFeatures, compute_full_weight_age, record_observations
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
-from sylpose.tracking.first_motion import OUTSIDE_REASON, REPLACED_REASON, is_mostly_outside, is_replaced
+from sylpose.tracking.first_motion import OUTSIDE_REASON, is_mostly_outside
 from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD
 from sylpose.tracking.joint_side.joint_state import (
     Anchor,
@@ -159,8 +159,6 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         np.array([a.n_features for a in agreements], np.int64),
         f_ratio=pooled,
     ).mark_uncertain()
-    if state.object.is_bounded and not candidate.has_moved and is_replaced(context, state, frame):
-        result = replace(result, status=FrameStatus.UNCERTAIN, reason=REPLACED_REASON)
     is_rig_contradicted = _is_rig_contradicted(context, state)
     is_mostly = pooled > context.options.max_pooled_f_ratio
     if state.ambiguity and not is_rig_contradicted:  # under a wrong rig one body looks like several

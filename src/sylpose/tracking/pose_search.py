@@ -35,7 +35,7 @@ from sylpose.tracking.camera_side.frame import (
     measure_agreement,
 )
 from sylpose.tracking.context import Context, Frame
-from sylpose.tracking.first_motion import is_box_center_static, select_static_matches, update_from_matches
+from sylpose.tracking.first_motion import is_box_center_static, is_replaced, select_static_matches, update_from_matches
 from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD, SOLVERS, PoseProblem, PoseSolution
 from sylpose.tracking.joint_side.joint_state import (
     PREPARATION_MARGIN,
@@ -122,22 +122,23 @@ SearchResult = tuple[JointState, PoseCandidate | None]
 def find_pose(context: Context, state: JointState, frame: Frame, guess: RigidTransform) -> SearchResult:
     """Search for the frame's pose near a guess (world_from_object)."""
     pairs: CameraPairs = _match_references(context, state, frame, guess)
-    is_open = state.object.is_bounded and not state.may_have_moved
-    if is_open and is_box_center_static(context, state, frame, pairs):
-        # Something other than the object moves in the boxes.
-        last_pose = state.last.world_from_object
-        candidate = solve_pose(context, state, frame, select_static_matches(frame, pairs), last_pose)
-        return state, None if candidate is None else candidate.as_static(last_pose)
+    may_rest, last_pose = not state.motion.has_moved, state.last.world_from_object
+    if state.object.is_bounded and may_rest:
+        may_rest = not is_replaced(context, state, frame)
+        if may_rest and is_box_center_static(context, state, frame, pairs):
+            # Something other than the object moves in the boxes.
+            candidate = solve_pose(context, state, frame, select_static_matches(frame, pairs), last_pose)
+            return state, None if candidate is None else candidate.as_static(last_pose)
     if state.needs_first_motion:
         state, pose, pairs = update_from_matches(context, state, frame, pairs)
         guess = guess if pose is None else pose
     candidate = solve_pose(context, state, frame, pairs, guess)
     if candidate is None:
         return state, None
-    if state.may_be_background(candidate.agreements):
-        return replace(state, motion=replace(state.motion, is_background_only=True)), None
     is_static = not candidate.has_moved and not is_mostly_moving(candidate.agreements)
-    return state, candidate.as_static(state.last.world_from_object) if is_static else candidate
+    if state.may_be_background(candidate.agreements) or (is_static and not may_rest):
+        return replace(state, motion=replace(state.motion, is_background_only=True)), None
+    return state, candidate.as_static(last_pose) if is_static else candidate
 
 
 # --- features and matches ---------------------------------------------------------------------------------------------

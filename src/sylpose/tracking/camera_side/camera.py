@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
-from sylpose.features.patches import find_replaced, sample_patches
+from sylpose.features.patches import estimate_noise_variance, find_replaced, sample_patches
 from sylpose.features.search_windows import SearchWindows
 from sylpose.features.sift import (
     FULL_RESOLUTION,
@@ -615,15 +615,25 @@ class CameraTracker:
         compared = compare_motions(x, y, self.camera.focal, rotation, motion.translation / distance)
         return float(following), CameraEvidence(*compared[:4]), int(np.count_nonzero(~has_moved))
 
-    def count_replaced(self, images: FrameSet, first: SolvedFrame, center: Region) -> tuple[int, int]:
-        """Count the first frame's features in a region, and those of them at whose place the image shows something else."""
-        image = self.view_of(images)[0]
+    def count_replaced(self, center: Region, images: FrameSet, first: SolvedFrame) -> tuple[int, int]:
+        """Count the first frame's features in a region, and those at whose place the image shows something else.
+
+        Those without texture, compared with the noise, or outside of the image's mask do not count.
+        """
+        image, mask = self.view_of(images)
         if image is None or center is None or first.number not in self.frames:
             return 0, 0
-        features = self.frames[first.number].features
+        gray, features, around = to_gray(image), self.frames[first.number].features, self.background_features
         features = features.subset(np.flatnonzero(self.find_inside(features, center)))
-        patches = sample_patches(to_gray(image), features.pixels, FULL_RESOLUTION, np.zeros(2))
-        return len(features), int(np.count_nonzero(find_replaced(features.patches, patches)))
+        at_features, at_others = (
+            sample_patches(gray, own.pixels, FULL_RESOLUTION, np.zeros(2)) for own in (features, around)
+        )
+        noise_variance = estimate_noise_variance(around.patches, at_others)
+        is_known, is_replaced = find_replaced(features.patches, at_features, noise_variance)
+        if mask is not None:
+            column, row = np.round(features.pixels).astype(np.int64).T
+            is_known, is_replaced = is_known & mask[row, column], is_replaced & mask[row, column]
+        return int(np.count_nonzero(is_known)), int(np.count_nonzero(is_replaced))
 
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 

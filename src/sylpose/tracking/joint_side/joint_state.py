@@ -632,19 +632,14 @@ class JointState:
     def may_be_background(self, agreements: Agreements, min_ratio: float = MISMATCH_PROBABILITY) -> bool:
         """Return whether a pose may be the background's: almost none of its inliers ever moved.
 
-        Always False of an object that rests where it was first seen. One that was missed there may have moved since.
+        Always False before the object has moved: no other evidence exists then.
 
         Args:
             agreements: per camera, how its matches agree with the pose.
             min_ratio: smallest share of inlier features that must have moved.
         """
         moved, features = sum(a.n_moved for a in agreements), sum(a.n_inlier_features for a in agreements)
-        return self.may_have_moved and moved < max(MIN_MATCHES, min_ratio * features)
-
-    @property
-    def may_have_moved(self) -> bool:
-        """Whether the object was observed to move, or missed where it was first seen."""
-        return self.motion.has_moved or self.motion.n_missed > 0
+        return self.motion.has_moved and moved < max(MIN_MATCHES, min_ratio * features)
 
     # --- the next state -----------------------------------------------------------------------------------------------
 
