@@ -158,6 +158,19 @@ def test_of_two_bodies_none_is_tracked_silently() -> None:
     assert {pose.status for pose in refined} == {FrameStatus.FIRST, FrameStatus.AMBIGUOUS}
 
 
+def test_body_at_the_same_place_is_a_rival() -> None:
+    """A bar crosses the object, as a forearm does, and turns about another axis: their centers are near."""
+
+    def cross(frame: float) -> RigidTransform:
+        center = make_drifting_pose(frame).translation
+        return RigidTransform.from_components(center, Rotation.from_rotvec([0, 0, 0.08 * frame]))
+
+    bar = Actor(make_slab([0.8, 0.15, 0.08], 5), cross)
+    clip = Clip.render(moving_scene(make_drifting_pose, N_FRAMES, [bar], n_cameras=3))
+    largest = find_candidates(clip.rig, windows_of(list(clip.frames())))[0]
+    assert largest.rival_ratio > TrackingOptions().max_rival_ratio
+
+
 def test_bodies_that_move_one_after_the_other_are_two() -> None:
     """They never move in the same window, and each rests in sight while the other moves."""
     clip = render_successive(30, frames=48)
