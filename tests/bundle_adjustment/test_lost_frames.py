@@ -6,20 +6,24 @@ A path that breaks because a part of it starts far off is refined again.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations, bundle_adjust
+from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.bundle_adjustment.scale_prior import (
     bundle_adjust_with_scale,
     find_lost_frames,
     find_repeated_observations,
     has_break,
+    recover,
     relocalize_lost_frames,
 )
 from sylpose.geometry.arrays import BoolArray
+from sylpose.status import Status
 from tests.bundle_adjustment.test_bundle import RADIUS, RIG, disturb_poses, error, path, tracks
 
 FRAMES, AWAY = 16, (5, 11)
@@ -107,7 +111,8 @@ def turn_once(n: int) -> tuple[RigidTransform, Observations]:
     return poses[:n], Observations(seen.frame[order] % n, seen.camera[order], landmark[order], seen.image[order])
 
 
-def test_broken_path_is_refined_again() -> None:
+def make_break() -> tuple[RigidTransform, Observations, RigidTransform, BundleOptions]:
+    """Return the poses of one turn, observations, poses of which a part is turned, and options with their landmarks."""
     truth, observations = turn_once(24)
     best = bundle_adjust(RIG, observations, truth, RADIUS)
     is_turned = (np.arange(24) >= 8) & (np.arange(24) < 21)
@@ -115,8 +120,16 @@ def test_broken_path_is_refined_again() -> None:
     start = RigidTransform.from_rotation(turn) * truth
     first = np.zeros(len(best.landmarks), int)
     first[observations.landmark[::-1]] = observations.frame[::-1]
-    options = BundleOptions(landmarks=(start[first].inv() * truth[first]).apply(best.landmarks))
+    landmarks = (start[first].inv() * truth[first]).apply(best.landmarks)
+    return truth, observations, start, BundleOptions(landmarks=landmarks)
+
+
+@pytest.mark.parametrize("recalibrate", [False, True])
+def test_broken_path_is_refined_again(recalibrate: bool) -> None:
+    truth, observations, start, options = make_break()
+    options = replace(options, calibration_prior=default_calibration_prior(RIG), recalibrate=recalibrate)
     alone = bundle_adjust(RIG, observations, start, RADIUS, options)
+    best = bundle_adjust(RIG, observations, truth, RADIUS, options)
     fixed = np.arange(24) == 0
     assert has_break(alone, observations, fixed)
     assert not has_break(alone, observations, np.ones(24, bool))
@@ -124,3 +137,19 @@ def test_broken_path_is_refined_again() -> None:
     assert np.abs(error(truth, alone.world_from_object)[:, :3]).max() > np.deg2rad(4.0)
     found = bundle_adjust_with_scale(RIG, observations, start, RADIUS, options)
     assert np.abs(error(best.world_from_object, found.world_from_object)[:, :3]).max() < np.deg2rad(0.05)
+
+
+def test_converged_result_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start that does not converge replaces no solution that did, whatever it costs."""
+    _, observations, start, options = make_break()
+    alone = bundle_adjust(RIG, observations, start, RADIUS, options)
+    assert alone.status is Status.OK
+
+    def stop_early(*arguments: Any) -> BundleResult:
+        return replace(bundle_adjust(*arguments), status=Status.NOT_CONVERGED)
+
+    monkeypatch.setattr("sylpose.bundle_adjustment.scale_prior.bundle_adjust", stop_early)
+    assert recover(RIG, observations, start, alone, RADIUS, options) is alone
+    unfinished = replace(alone, status=Status.NOT_CONVERGED)
+    assert recover(RIG, observations, start, unfinished, RADIUS, options) is not unfinished
+    assert recover(RIG, observations, start, unfinished, RADIUS, replace(options, coarse=True)) is unfinished
