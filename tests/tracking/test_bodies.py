@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.frames import Box, FrameSet
+from sylpose.frames import UNNUMBERED, Box, FrameSet
 from sylpose.simulate import Actor, Scene
 from sylpose.simulate.render import Path
 from sylpose.smoothing import Track, smooth_tracks
@@ -217,6 +217,18 @@ def test_no_frame_is_lost_while_the_search_waits(last: int) -> None:
     with Tracker(clip.rig, candidate=candidate, options=TrackingOptions(max_buffered_frames=3)) as tracker:
         tracked = [result for frames in clip.frames() for result in tracker.step(frames)] + tracker.flush()
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6
+
+
+def test_frames_without_numbers_are_searched_as_numbered() -> None:
+    clip = render("resting")
+    numbered = list(clip.frames())
+    assert [frames.index for frames in numbered] == list(range(N_FRAMES))
+    unnumbered = [replace(frames, index=UNNUMBERED) for frames in numbered]
+    expected, found = ([frame.pose for frame in track(own, clip.rig)] for own in (numbered, unnumbered))
+    assert [pose.index for pose in found] == list(range(N_FRAMES))
+    for a, b in zip(expected, found, strict=True):
+        assert a.status is b.status
+        np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
 def test_iterator_is_searched_as_the_sequence() -> None:

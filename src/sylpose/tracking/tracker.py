@@ -192,6 +192,11 @@ def track(
         yield from tracker.flush()
 
 
+def _number(frames: FrameSet, number: int) -> FrameSet:
+    """Return a frame set with a number, if it has none."""
+    return replace(frames, index=number) if frames.index == UNNUMBERED else frames
+
+
 def _read_ahead(frames: Iterable[FrameSet], count: int) -> tuple[Sequence[FrameSet], Iterable[FrameSet]]:
     """Return all frames of a sequence, or the first ones of an iterator, and an iterable of all."""
     if isinstance(frames, Sequence):
@@ -283,8 +288,7 @@ class TrackerBase:
             self._state = initialize_from_object(transferred, self._rig, self._context.cameras, frames.time)
             self.next_number = len(transferred.keyframes)
         index, self.next_number = self.next_number, self.next_number + 1
-        if frames.index == UNNUMBERED:
-            frames = replace(frames, index=index - (0 if transferred is None else len(transferred.keyframes)))
+        frames = _number(frames, index - (0 if transferred is None else len(transferred.keyframes)))
         self._state, self._buffered, decided = process_frame(self._context, self._state, self._buffered, index, frames)
         if transferred is None:
             return decided
@@ -418,7 +422,7 @@ class Tracker(TrackerBase):
             )
             self._context = replace(context, f_ratio=f_ratio)
             return
-        windows = ([frames[k] for k in window] for window in select_windows(len(frames)))
+        windows = ([_number(frames[k], k) for k in window] for window in select_windows(len(frames)))
         candidates = find_candidates(
             self._rig, windows, time_offsets=offsets, seed=context.seed, workers=workers, options=context.options
         )
