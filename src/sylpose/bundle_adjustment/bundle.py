@@ -90,6 +90,13 @@ class Observations:
         own = self.select(is_used[self.frame])
         return replace(own, frame=(np.cumsum(is_used) - 1)[own.frame])
 
+    def pair_successive(self) -> tuple[IntArray, IntArray]:
+        """Return the observations (m,) of a landmark that its camera observes in the next frame as well, and those (m,)."""
+        order = np.lexsort((self.frame, self.camera, self.landmark))
+        frame, camera, landmark = (x[order] for x in (self.frame, self.camera, self.landmark))
+        is_next = (np.diff(frame) == 1) & (np.diff(camera) == 0) & (np.diff(landmark) == 0)
+        return order[:-1][is_next], order[1:][is_next]
+
 
 @dataclass(frozen=True, eq=False)
 class BundleResult(FitSummary):

@@ -123,12 +123,9 @@ def correlate_errors(observations: Observations, result: BundleResult) -> float:
 
     It is the share of their variance that is common to both frames: at most that share is common to more of them.
     """
-    order = np.lexsort((observations.frame, observations.camera, observations.landmark))
-    frame, camera, landmark = (x[order] for x in (observations.frame, observations.camera, observations.landmark))
-    weights, errors = result.weights[order], result.residuals[order]
-    is_next = (np.diff(frame) == 1) & (np.diff(camera) == 0) & (np.diff(landmark) == 0)
-    is_next &= np.minimum(weights[1:], weights[:-1]) > 0
-    first, second = errors[:-1][is_next], errors[1:][is_next]
+    earlier, later = observations.pair_successive()
+    is_inlier = np.minimum(result.weights[earlier], result.weights[later]) > 0
+    first, second = result.residuals[earlier[is_inlier]], result.residuals[later[is_inlier]]
     return float((first * second).sum() / max(np.sqrt((first**2).sum() * (second**2).sum()), 1e-300))
 
 

@@ -121,7 +121,12 @@ def _bundle_from_two_starts(
 
 
 def _is_better(result: BundleResult, other: BundleResult, observations: Observations) -> bool:
-    """Return whether one result explains more of the observations than another, without losing a frame for it."""
+    """Return whether one result explains more of the observations than another, without losing a frame for it.
+
+    One that did not converge is not better than one that did.
+    """
+    if other.status is Status.OK and result.status is not Status.OK:
+        return False
     repeated = find_repeated_observations(observations)
     costs = _compute_costs(result, other, observations, repeated)
     return costs[0] < costs[1] and not has_lost_frame(result, other, observations, repeated)
@@ -206,13 +211,11 @@ def has_break(result: BundleResult, observations: Observations, fixed: BoolArray
     Args:
         fixed: (N,) fixed frames; what connects two of these does not count.
     """
-    order = np.lexsort((observations.frame, observations.camera, observations.landmark))
-    frame, camera, landmark = (x[order] for x in (observations.frame, observations.camera, observations.landmark))
-    weights = result.weights[order]
-    is_next = (np.diff(frame) == 1) & (np.diff(camera) == 0) & (np.diff(landmark) == 0)
-    is_next &= ~(fixed[frame[1:]] & fixed[frame[:-1]])
-    is_inlier = np.minimum(weights[1:], weights[:-1])[is_next] > 0
-    totals, inliers = np.bincount(frame[1:][is_next]), np.bincount(frame[1:][is_next], is_inlier)
+    earlier, later = observations.pair_successive()
+    frame = observations.frame[later]
+    counts = ~(fixed[frame - 1] & fixed[frame])
+    is_inlier = counts & (np.minimum(result.weights[earlier], result.weights[later]) > 0)
+    totals, inliers = np.bincount(frame, counts), np.bincount(frame, is_inlier)
     return bool(((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals)).any())
 
 
@@ -240,8 +243,7 @@ def recover(
         alternative = bundle_adjust(rig, observations, world_from_object, radius, rough_options)
         if options.recalibrate:
             alternative = _restart(rig, observations, alternative, alternative.world_from_object, radius, options)
-        is_allowed = alternative.status is Status.OK or result.status is not Status.OK
-        result = alternative if is_allowed and _is_better(alternative, result, observations) else result
+        result = alternative if _is_better(alternative, result, observations) else result
     return result
 
 

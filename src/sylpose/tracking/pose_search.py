@@ -122,13 +122,11 @@ SearchResult = tuple[JointState, PoseCandidate | None]
 def find_pose(context: Context, state: JointState, frame: Frame, guess: RigidTransform) -> SearchResult:
     """Search for the frame's pose near a guess (world_from_object)."""
     pairs: CameraPairs = _match_references(context, state, frame, guess)
-    may_rest, last_pose = not state.motion.has_moved, state.last.world_from_object
-    if state.object.is_bounded and may_rest:
-        may_rest = not is_replaced(context, state, frame)
-        if may_rest and is_box_center_static(context, state, frame, pairs):
-            # Something other than the object moves in the boxes.
-            candidate = solve_pose(context, state, frame, select_static_matches(frame, pairs), last_pose)
-            return state, None if candidate is None else candidate.as_static(last_pose)
+    may_rest, last_pose = state.object.is_bounded and not state.motion.has_moved, state.last.world_from_object
+    if may_rest and is_box_center_static(context, state, frame, pairs) and not is_replaced(context, state, frame):
+        # Something other than the object moves in the boxes.
+        candidate = solve_pose(context, state, frame, select_static_matches(frame, pairs), last_pose)
+        return state, None if candidate is None else candidate.as_static(last_pose)
     if state.needs_first_motion:
         state, pose, pairs = update_from_matches(context, state, frame, pairs)
         guess = guess if pose is None else pose
@@ -136,7 +134,8 @@ def find_pose(context: Context, state: JointState, frame: Frame, guess: RigidTra
     if candidate is None:
         return state, None
     is_static = not candidate.has_moved and not is_mostly_moving(candidate.agreements)
-    if state.may_be_background(candidate.agreements) or (is_static and not may_rest):
+    is_background = is_static and may_rest and is_replaced(context, state, frame)
+    if is_background or state.may_be_background(candidate.agreements):
         return replace(state, motion=replace(state.motion, is_background_only=True)), None
     return state, candidate.as_static(last_pose) if is_static else candidate
 
