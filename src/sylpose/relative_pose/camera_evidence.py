@@ -33,8 +33,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, so3_log
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
+from sylpose.relative_pose.limits import MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE
 from sylpose.relative_pose.terms import TermData, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
@@ -74,12 +75,12 @@ KEPT_SHARE = 0.9
 MIN_REDUCTION = 3.0
 # The ratio without a contradiction: explanations with ratios below it are alike (derived).
 EXPECTED_RATIO = 1.0
-# Rounds of trimming, and steps of each fit (choice).
-N_TRIMS, N_STEPS = 8, 15
+# Maximum number of steps of a camera's own fit between two selections of matches (choice).
+N_STEPS = 15
 # No excess is larger: a million times what the largest contradictions have (derived: keeps sums finite).
 MAX_EXCESS = 1e12
-# Derivatives of a rotation about each axis (derived).
-GENERATORS = np.ascontiguousarray(-np.cross(np.eye(3)[:, None], np.eye(3)))
+# Axes of rotations (derived).
+AXES = np.eye(3)
 # Cells per image axis in which errors may be alike (choice).
 N_CELLS = 4
 
@@ -215,19 +216,15 @@ def _measure_excess(
     share_sd: float,
 ) -> tuple[int, float, float, float, float]:
     """Fit a camera's own motion, beginning with the weighted matches; return what `compare_motions` does."""
-    residuals = np.empty(len(x))
-    before = np.empty(len(x))
-    for _ in range(N_TRIMS):
-        _fit_motion(x, y, own, own_rotation, own_translation)
+    residuals, before, damping = np.empty(len(x)), np.empty(len(x)), 1e-3
+    for _ in range(MAX_ROUNDS):
+        damping, has_converged = _fit_motion(x, y, own, own_rotation, own_translation, damping)
         before[:] = own
         if not _trim(x, y, focal, own, own_rotation, own_translation, residuals):
             return 0, np.nan, np.nan, np.nan, np.nan
-        if (own == before).all():
+        if has_converged and (own == before).all():
             break
-    if own.sum() < MIN_MATCHES:
-        return 0, np.nan, np.nan, np.nan, np.nan
-    _fit_motion(x, y, own, own_rotation, own_translation)
-    _compute_residuals(x, y, focal, own_rotation, own_translation, residuals)
+    own[:] = before
     count, squares = 0, 0.0
     for i in range(len(x)):
         if own[i] > 0.0:
@@ -249,13 +246,13 @@ def _measure_excess(
     return count, sigma, np.sqrt(joint_squares / own.sum()), excess, min(unadjusted, MAX_EXCESS)
 
 
-@kernel
-def _make_essential(rotation: FloatArray, translation: FloatArray, out: FloatArray) -> None:
-    """Write [t]x R to out (3, 3)."""
+@leaf
+def _cross_rows(vector: FloatArray, matrix: FloatArray, out: FloatArray) -> None:
+    """Write [vector]x matrix to out (3, 3)."""
     for j in range(3):
-        out[0, j] = translation[1] * rotation[2, j] - translation[2] * rotation[1, j]
-        out[1, j] = translation[2] * rotation[0, j] - translation[0] * rotation[2, j]
-        out[2, j] = translation[0] * rotation[1, j] - translation[1] * rotation[0, j]
+        out[0, j] = vector[1] * matrix[2, j] - vector[2] * matrix[1, j]
+        out[1, j] = vector[2] * matrix[0, j] - vector[0] * matrix[2, j]
+        out[2, j] = vector[0] * matrix[1, j] - vector[1] * matrix[0, j]
 
 
 @kernel
@@ -263,68 +260,86 @@ def _compute_residuals(
     x: FloatArray, y: FloatArray, focal: float, rotation: FloatArray, translation: FloatArray, residuals: FloatArray
 ) -> None:
     """Write the Sampson distances (n,), pixels."""
-    essential, none = np.empty((3, 3)), np.empty((0, 3, 3))
-    _make_essential(rotation, translation, essential)
+    essential = np.empty((3, 3))
+    _cross_rows(translation, rotation, essential)
     for i in range(len(x)):
-        residuals[i] = focal * _sampson(x, y, i, essential, none, residuals[:0])
+        residuals[i] = focal * _sampson(x, y, i, essential)
 
 
-@kernel
-def _sampson(
-    x: FloatArray, y: FloatArray, i: int, essential: FloatArray, derivatives: FloatArray, slope: FloatArray
-) -> float:
-    """Return the Sampson distance of match i, and write its derivatives along (k, 3, 3) changes of E to slope (k,)."""
-    e, x0, x1, y0, y1 = essential, x[i, 0], x[i, 1], y[i, 0], y[i, 1]
+@leaf
+def _sampson(x: FloatArray, y: FloatArray, i: int, e: FloatArray) -> float:
+    """Return the Sampson distance of match i from the epipolar lines of E."""
+    x0, x1, y0, y1 = x[i, 0], x[i, 1], y[i, 0], y[i, 1]
     a0 = e[0, 0] * x0 + e[0, 1] * x1 + e[0, 2]
     a1 = e[1, 0] * x0 + e[1, 1] * x1 + e[1, 2]
     a2 = e[2, 0] * x0 + e[2, 1] * x1 + e[2, 2]
     b0 = e[0, 0] * y0 + e[1, 0] * y1 + e[2, 0]
     b1 = e[0, 1] * y0 + e[1, 1] * y1 + e[2, 1]
-    square = a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1 + 1e-300
-    length = np.sqrt(square)
-    value = y0 * a0 + y1 * a1 + a2
-    for k in range(len(derivatives)):
-        d = derivatives[k]
-        c0 = d[0, 0] * x0 + d[0, 1] * x1 + d[0, 2]
-        c1 = d[1, 0] * x0 + d[1, 1] * x1 + d[1, 2]
-        c2 = d[2, 0] * x0 + d[2, 1] * x1 + d[2, 2]
-        f0 = d[0, 0] * y0 + d[1, 0] * y1 + d[2, 0]
-        f1 = d[0, 1] * y0 + d[1, 1] * y1 + d[2, 1]
-        change = (a0 * c0 + a1 * c1 + b0 * f0 + b1 * f1) / square
-        slope[k] = (y0 * c0 + y1 * c1 + c2 - value * change) / length
-    return float(value / length)
+    return float((y0 * a0 + y1 * a1 + a2) / np.sqrt(a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1 + 1e-300))
+
+
+@kernel
+def _linearize(
+    x: FloatArray, y: FloatArray, weights: FloatArray, e: FloatArray, derivatives: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the Sampson distances (n,) of the matches and their derivatives (n, k) along (k, 9) changes of E.
+
+    Both are 0 for matches without weight.
+    """
+    distances, slopes = np.zeros(len(x)), np.zeros((len(x), 9))
+    for i in range(len(x)):
+        if not weights[i] > 0.0:
+            continue
+        x0, x1, y0, y1 = x[i, 0], x[i, 1], y[i, 0], y[i, 1]
+        a0 = e[0, 0] * x0 + e[0, 1] * x1 + e[0, 2]
+        a1 = e[1, 0] * x0 + e[1, 1] * x1 + e[1, 2]
+        a2 = e[2, 0] * x0 + e[2, 1] * x1 + e[2, 2]
+        b0 = e[0, 0] * y0 + e[1, 0] * y1 + e[2, 0]
+        b1 = e[0, 1] * y0 + e[1, 1] * y1 + e[2, 1]
+        square = a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1 + 1e-300
+        scale = 1.0 / np.sqrt(square)
+        distances[i] = (y0 * a0 + y1 * a1 + a2) * scale
+        # E changes y^T E x, and the lengths of the lines.
+        c, row = distances[i] / square, slopes[i]
+        row[0], row[1] = y0 * x0 * scale - c * (a0 * x0 + b0 * y0), y0 * x1 * scale - c * (a0 * x1 + b1 * y0)
+        row[3], row[4] = y1 * x0 * scale - c * (a1 * x0 + b0 * y1), y1 * x1 * scale - c * (a1 * x1 + b1 * y1)
+        row[2], row[5], row[6], row[7] = (
+            y0 * scale - c * a0,
+            y1 * scale - c * a1,
+            x0 * scale - c * b0,
+            x1 * scale - c * b1,
+        )
+        row[8] = scale
+    return distances, slopes @ derivatives.T
 
 
 @kernel
 def _fit_motion(
-    x: FloatArray, y: FloatArray, weights: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> None:
-    """Minimize the squared Sampson distances of the weighted matches, in place; t has unit length."""
+    x: FloatArray,
+    y: FloatArray,
+    weights: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    damping: float,
+) -> tuple[float, bool]:
+    """Reduce the squared Sampson distances of the weighted matches by some steps, in place; t has unit length.
+
+    Returns:
+        the damping to continue with; whether it has converged.
+    """
     translation /= np.sqrt(dot(translation, translation)) + 1e-300
-    essential, derivatives, slope = np.empty((3, 3)), np.empty((6, 3, 3)), np.empty(6)
-    normal, right, factor, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
-    turned, moved, damping = np.empty((3, 3)), np.empty(3), 1e-3
-    cost = _sum_squares(x, y, weights, rotation, translation)
+    essential, derivatives = np.empty((3, 3)), np.empty((6, 3, 3))
+    factor, step, turned, moved = np.empty((6, 6)), np.empty(6), np.empty((3, 3)), np.empty(3)
     for _ in range(N_STEPS):
-        _make_essential(rotation, translation, essential)
+        _cross_rows(translation, rotation, essential)
         for k in range(3):
-            turned[:] = GENERATORS[k] @ rotation
-            _make_essential(turned, translation, derivatives[k])
-            derivatives[3 + k] = turned
-        normal[:], right[:] = 0.0, 0.0
-        for i in range(len(x)):
-            if weights[i] > 0.0:
-                r = _sampson(x, y, i, essential, derivatives, slope)
-                for a in range(6):
-                    right[a] -= slope[a] * r
-                    for b in range(a + 1):
-                        normal[a, b] += slope[a] * slope[b]
-        for a in range(6):
-            for b in range(a):
-                normal[b, a] = normal[a, b]
-        improved, least = False, 1e-12 * np.trace(normal) + 1e-300
+            _cross_rows(AXES[k], rotation, derivatives[3 + k])
+            _cross_rows(translation, derivatives[3 + k], derivatives[k])
+        distances, slopes = _linearize(x, y, weights, essential, derivatives.reshape(6, 9))
+        normal, gradient, cost = slopes.T @ slopes, slopes.T @ distances, dot(distances, distances)
+        has_improved, least, new_cost = False, 1e-12 * np.trace(normal) + 1e-300, cost
         for _ in range(6):
-            factor[:], step[:] = normal, right
+            factor[:], step[:] = normal, -gradient
             for a in range(6):
                 factor[a, a] += damping * normal[a, a] + least
             if cholesky_solve(factor, step):
@@ -333,27 +348,28 @@ def _fit_motion(
                 moved /= np.sqrt(dot(moved, moved)) + 1e-300
                 new_cost = _sum_squares(x, y, weights, turned, moved)
                 if new_cost < cost:
-                    improved = True
+                    has_improved = True
                     break
             damping *= 8.0
-        if not improved:
-            break
-        gain = cost - new_cost
-        rotation[:], translation[:], cost = turned, moved, new_cost
+        if not has_improved:
+            return damping, True
+        rotation[:], translation[:] = turned, moved
         damping = max(damping / 8.0, 1e-9)
-        if gain < 1e-5 * cost:
-            break
+        # The decrease of the log-likelihood with the noise that the residuals show.
+        if (cost - new_cost) * weights.sum() < 2.0 * ROUGHLY_CONVERGED_DECREASE * cost:
+            return damping, True
+    return damping, False
 
 
 @kernel
 def _sum_squares(
     x: FloatArray, y: FloatArray, weights: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> float:
-    essential, none, slope, total = np.empty((3, 3)), np.empty((0, 3, 3)), np.empty(0), 0.0
-    _make_essential(rotation, translation, essential)
+    essential, total = np.empty((3, 3)), 0.0
+    _cross_rows(translation, rotation, essential)
     for i in range(len(x)):
         if weights[i] > 0.0:
-            total += _sampson(x, y, i, essential, none, slope) ** 2
+            total += _sampson(x, y, i, essential) ** 2
     return total
 
 
@@ -413,35 +429,28 @@ def _marginalize_calibration(
     share_sd: float,
 ) -> tuple[float, float]:
     """Return the sum of squares about the joint motion, and its least cost over calibration errors, to first order."""
-    essential, derivatives, slope = np.empty((3, 3)), np.zeros((N_NUISANCES, 3, 3)), np.empty(N_NUISANCES)
-    _make_essential(rotation, translation, essential)
+    essential, derivatives = np.empty((3, 3)), np.zeros((N_NUISANCES, 3, 3))
+    _cross_rows(translation, rotation, essential)
     # Both images turn with the camera, E' = exp(δ) E exp(-δ), or the second alone; the focal length scales the first two
-    # coordinates.
+    # coordinates. Of another share of the motion R turns as well; the length of E does not matter.
+    rotvec, turned = np.empty(3), np.empty((3, 3))
+    so3_log(rotation, rotvec)
+    _cross_rows(rotvec, rotation, turned)
+    _cross_rows(translation, turned, derivatives[7])
     for k in range(3):
-        derivatives[4 + k] = GENERATORS[k] @ essential
-        derivatives[k] = derivatives[4 + k] - essential @ GENERATORS[k]
+        _cross_rows(AXES[k], essential, derivatives[4 + k])
+        _cross_rows(AXES[k], essential.T.copy(), turned)
+        derivatives[k] = derivatives[4 + k] + turned.T
     for a in range(3):
         for b in range(3):
             derivatives[3, a, b] = ((a < 2) + (b < 2)) * essential[a, b]
-    # Of another share of the motion R turns as well; the length of E does not matter.
-    rotvec, turned = np.empty(3), np.zeros((3, 3))
-    so3_log(rotation, rotvec)
-    for k in range(3):
-        turned += rotvec[k] * (GENERATORS[k] @ rotation)
-    _make_essential(turned, translation, derivatives[7])
-    normal, right, squares = np.zeros((N_NUISANCES, N_NUISANCES)), np.zeros(N_NUISANCES), 0.0
-    for i in range(len(x)):
-        if weights[i] > 0.0:
-            r = focal * _sampson(x, y, i, essential, derivatives, slope)
-            squares += r * r
-            for a in range(N_NUISANCES):
-                right[a] += focal * slope[a] * r / variance
-                for b in range(N_NUISANCES):
-                    normal[a, b] += focal * focal * slope[a] * slope[b] / variance
+    distances, slopes = _linearize(x, y, weights, essential, derivatives.reshape(N_NUISANCES, 9))
+    squares, scale = focal * focal * dot(distances, distances), focal * focal / variance
+    normal, gradient = scale * (slopes.T @ slopes), scale * (slopes.T @ distances)
     for a in range(N_NUISANCES):
         sd = ROTATION_ERROR_SD if a < 3 else FOCAL_ERROR_SD if a == 3 else TREMBLE_SD if a < 7 else share_sd
         normal[a, a] += 1.0 / (sd * sd + 1e-30)
-    step = right.copy()
+    step = gradient.copy()
     if not cholesky_solve(normal, step):
         return squares, squares / variance
-    return squares, squares / variance - float(right @ step)
+    return squares, squares / variance - dot(gradient, step)
