@@ -66,6 +66,7 @@ class Kind:
         copies: numbers of copies per match, of all matches or of a random part.
         size: range of the scale error of the known points of pose problems.
         lens: factor of focal lengths and distances.
+        axes: pixels are counted along these axes instead of to the right and down.
     """
 
     is_regular: bool = False
@@ -86,6 +87,7 @@ class Kind:
     copies: tuple[int, ...] = ()
     model_scale: Span | None = None
     focal_factor: float = 1.0
+    axes: tuple[Span, Span] | None = None
 
 
 class Problem(NamedTuple):
@@ -167,6 +169,9 @@ MOTIONS: dict[str, Kind] = {
     "turned by 2 to 45, two cameras": Kind(
         cameras=TWO_CAMERAS, rig="any", camera_rotation_deg=(2.0, 45.0), is_undetectable=True
     ),
+    "y upwards": Kind(bodies=(*SOLID, *FLAT), axes=((1.0, 0.0), (0.0, -1.0))),
+    "x to the left": Kind(bodies=(*SOLID, *FLAT), axes=((-1.0, 0.0), (0.0, 1.0))),
+    "row, column": Kind(bodies=(*SOLID, *FLAT), axes=((0.0, 1.0), (1.0, 0.0))),
     "noise x 3": Kind(bodies=(*SOLID, *FLAT), cameras=UP_TO_EIGHT_CAMERAS, noise_factor=3.0),
     "noise x 10": Kind(bodies=(*SOLID, *FLAT), cameras=UP_TO_EIGHT_CAMERAS, noise_factor=10.0),
     "noise x 10, wrong 30 to 60 %": Kind(
@@ -235,13 +240,14 @@ def make_problem(name: str, seed: int) -> Problem:
     if name in POSES:
         return _make_pose_problem(kind, rig, true_rig, pair, start, body.radius, rng, faulty_camera)
     selected = [_select_matches(kind, len(m), rng) for m in pair.matches]
-    matches = tuple(Matches(m.x[k], m.y[k]) for m, k in zip(pair.matches, selected, strict=True))
+    axes = np.array(kind.axes or np.eye(2)).T
+    matches = tuple(Matches(m.x[k] @ axes, m.y[k] @ axes) for m, k in zip(pair.matches, selected, strict=True))
     is_outlier = [w[k] for w, k in zip(pair.is_outlier, selected, strict=True)]
     share = sum(w.sum() for w in is_outlier) / max(sum(map(len, is_outlier)), 1)
     truths: tuple[RigidTransform, ...] = (motion,)
     if kind.outlier_kind == "second_motion" and share > 0.45:
         truths = (other,) if share > 0.55 else (motion, other)
-    return Problem(rig, matches, (), (), truths, body.radius, kind.camera_rotation_deg is None)
+    return Problem(rig, matches, (), (), truths, body.radius, kind.camera_rotation_deg is None and not kind.axes)
 
 
 def _make_pose_problem(

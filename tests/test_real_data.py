@@ -92,6 +92,18 @@ def test_board4() -> None:
     assert sum(pose.inliers[3] > 20 for pose in poses) > 10
 
 
+@pytest.mark.slow
+def test_board4b_without_boxes() -> None:
+    """The same without boxes: a person moves with the board, and which of them is meant cannot be known."""
+    folder = recording("board4b")
+    session = open_session(folder)
+    poses = [frame.pose for frame in track(session.frames(), session.rig)]
+    assert len(poses) == 57
+    sure = [pose for pose in poses if pose.status in (FrameStatus.TRACKED, FrameStatus.RELOCALIZED)]
+    assert not sure or score([poses[0], *sure], folder).degrees.max() <= 3
+    assert {pose.status for pose in poses[1:]} & {FrameStatus.AMBIGUOUS, FrameStatus.TRACKED}
+
+
 def test_score_measures_motion_since_the_start() -> None:
     """Another object frame and another first pose change nothing; a known error is detected."""
     folder = recording("temple")

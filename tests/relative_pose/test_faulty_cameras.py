@@ -166,3 +166,19 @@ def test_result_is_deterministic() -> None:
     assert again.motion is not None
     np.testing.assert_array_equal(first.motion.as_matrix(), again.motion.as_matrix())
     assert first.faults == again.faults
+
+
+@pytest.mark.parametrize("count", [4, 8])
+@pytest.mark.parametrize("signs", [(1.0, -1.0), (-1.0, 1.0)])
+def test_pixels_along_other_axes_are_never_wrong_and_ok(count: int, signs: tuple[float, float]) -> None:
+    """Counted up or to the left, pixels of each camera show a motion, and the cameras contradict each other."""
+    rig, statuses = make_zigzag_rig(count), set()
+    for seed in range(8):
+        pair = make_scene(rig, seed)
+        found = estimate_motion(rig, [Matches(m.x * signs, m.y * signs) for m in pair.matches])
+        assert estimate_motion(rig, pair.matches).status is Status.OK
+        statuses.add(found.status)
+        if found.status is Status.NOT_CONSISTENT and found.faults:
+            assert "right and down from the upper left corner" in found.faults[0]
+    assert Status.OK not in statuses
+    assert Status.NOT_CONSISTENT in statuses

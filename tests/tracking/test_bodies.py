@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from math import isqrt
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.bodies import (
     MAX_PIXELS,
-    MAX_WINDOWS,
+    N_WINDOWS,
     WINDOW_FRAMES,
     compare_cameras,
     find_candidates,
@@ -87,7 +88,7 @@ def candidates_of(kind: str) -> list[Candidate]:
 @pytest.mark.parametrize("n", [0, 1, 2, 9, 17, 18, 40, 1000, 100_000])
 def test_windows_are_spread_over_the_recording(n: int) -> None:
     windows = select_windows(n)
-    assert len(windows) <= MAX_WINDOWS
+    assert len(windows) <= max(N_WINDOWS, isqrt(n // 2))
     assert all(0 < len(window) <= WINDOW_FRAMES for window in windows)
     assert (windows[0].start, windows[-1].stop) == (0, n) if n else not windows
     starts = [window.start for window in windows]

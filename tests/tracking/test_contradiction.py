@@ -12,15 +12,17 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.commands.main import main
 from sylpose.geometry.arrays import Image
+from sylpose.methods import METHODS
 from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MIN_KEPT_POOLED, CameraEvidence
 from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
-from sylpose.tracking.context import Context
+from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion
-from sylpose.tracking.joint_side.joint_state import SolvedFrame
-from sylpose.tracking.map_update import add_f_ratio, is_contradicted, measure_f_ratio
+from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
+from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.map_update import _is_rig_contradicted, add_f_ratio, is_contradicted, measure_f_ratio
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import Tracker, track
@@ -88,6 +90,18 @@ def test_tracked_frames_replace_the_evidence_of_the_recording(clip: Clip, monkey
     n = found.index(FrameStatus.TRACKED)
     assert n >= 2
     assert found == [FrameStatus.CONTRADICTED] * n + [FrameStatus.TRACKED] * (len(found) - n)
+
+
+@pytest.mark.parametrize("is_bounded", [True, False])
+def test_one_contradicted_frame_matters_without_boxes(clip: Clip, is_bounded: bool) -> None:
+    """In boxes an arm may cross the object; without boxes, what two cameras follow may be another body."""
+    rig, options = clip.rig, TrackingOptions()
+    executor = LocalExecutor(len(rig), 1)
+    context = Context(rig, [], executor, METHODS[0], True, True, np.zeros(len(rig)), 0, options, f_ratio=11.0)
+    executor.close()
+    known = ObjectModel(is_bounded=is_bounded)
+    for ratios, is_over in (((0.1, 0.2), False), ((0.1, 0.2, 0.3), True), ((0.1, 39.0, 0.2, 0.4), is_bounded)):
+        assert _is_rig_contradicted(context, JointState(object=known, f_ratios=ratios)) != is_over
 
 
 def make_frame(number: int, is_contradicted: bool) -> SolvedFrame:

@@ -23,6 +23,8 @@ from sylpose.matches import MAX_STATIC_PX
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
+    MAX_F_RATIO,
+    MIN_KEPT_POOLED,
     MIN_MATCHES,
     MIN_REDUCTION,
     N_OWN,
@@ -46,11 +48,13 @@ class _Agreement(NamedTuple):
     Attributes:
         solution: of their matches alone.
         f_ratio: of these cameras; NaN if it is unknown.
+        least_f_ratio: without the worst of them, as far as three remain; NaN if it is unknown.
         worst: largest excess of one of them.
     """
 
     solution: Solution
     f_ratio: float
+    least_f_ratio: float
     worst: float
 
 
@@ -59,7 +63,8 @@ def solve_without_faulty_cameras(
 ) -> Solution:
     """Solve without the faulty cameras, each of which is named in `Fit.faults`.
 
-    Fewer than half of the cameras are removed, none of two.
+    Fewer than half of the cameras are removed, none of two. If those that are left contradict each other nevertheless, the
+    status is NOT_CONSISTENT: wrong pixels or a wrong rig, of which each camera makes a motion of its own.
 
     Args:
         data: the terms of the fit, one per camera, all in one reference frame.
@@ -72,6 +77,12 @@ def solve_without_faulty_cameras(
         return solution
     removed, agreement = _remove_cameras(data, solution, solve)
     fit = agreement.solution.fit
+    if agreement.least_f_ratio > MAX_F_RATIO:
+        text = (
+            f"the cameras see different motions (F ratio {agreement.least_f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f}): "
+            "check the calibration, and that pixels are counted to the right and down from the upper left corner"
+        )
+        return solution._replace(fit=replace(fit, status=Status.NOT_CONSISTENT, faults=(text,)))
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
     rejected[removed] = True
@@ -126,7 +137,7 @@ def _compare(data: Sequence[TermData], solution: Solution, kept: IntArray) -> _A
     motion = solution.center, solution.fit.rotation, solution.fit.translation
     excess, _ = measure_excess([data[c] for c in kept.tolist()], *motion)
     worst = float(np.nanmax(excess, initial=0.0, where=~np.isnan(excess)))
-    return _Agreement(solution, compute_f_ratio(excess, len(excess)), worst)
+    return _Agreement(solution, compute_f_ratio(excess, len(excess)), compute_f_ratio(excess, MIN_KEPT_POOLED), worst)
 
 
 def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: TermSolver) -> Solution | None:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from math import isqrt
 
 import numpy as np
 
@@ -50,8 +51,9 @@ from sylpose.tracking.options import TrackingOptions
 
 # Number of motions fitted one after another: an object, and the trunk and arms of a person (choice).
 MAX_BODIES = 4
-# Windows are searched in at most so many places, at least so far from each other (choice).
-MAX_WINDOWS, MIN_WINDOW_STEP = 8, 6
+# Windows are searched in so many places, in long recordings in more (`select_windows`), at least so far from each other
+# (choice).
+N_WINDOWS, MIN_WINDOW_STEP = 8, 6
 # Numbers of frames between the two that are compared (choice).
 GAPS = (1, 2, 4, 8, 16)
 # Maximum number of frames of a window (derived).
@@ -256,11 +258,15 @@ def _count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> i
 
 
 def select_windows(n_frames: int) -> list[range]:
-    """Select the frames of windows spread over a recording of so many frames."""
+    """Select the frames of windows spread over a recording of so many frames.
+
+    Their number grows with the root of its length: a motion between windows is missed, but the search must not take as
+    long as tracking.
+    """
     if not n_frames:
         return []
     last = max(n_frames - MIN_WINDOW_STEP, 0)
-    n_windows = min(MAX_WINDOWS, 1 + last // MIN_WINDOW_STEP)
+    n_windows = min(max(N_WINDOWS, isqrt(n_frames // 2)), 1 + last // MIN_WINDOW_STEP)
     starts = np.unique(np.linspace(0, last, n_windows).round().astype(int)).tolist()
     return [range(start, min(start + WINDOW_FRAMES, n_frames)) for start in starts]
 

@@ -219,13 +219,16 @@ def _is_rig_contradicted(context: Context, state: JointState) -> bool:
     """Return whether the cameras contradict each other in most of the recording, which was searched in advance.
 
     That is known of all that moves, of a camera that was nudged or of other bodies as well, and replaced by what the
-    frames that were tracked show of the object: at once if three cameras agree on it, as they do not with a wrong rig.
+    frames that were tracked show of the object: at once if three cameras agree on it, as they do not with a wrong rig. In
+    boxes most of these frames have to, since an arm may cross them; without boxes all, since what is tracked may be another
+    body, which two of the cameras see.
     """
     if context.method not in MAXIMUM_LIKELIHOOD or not context.is_contradicted:
         return False
-    known = state.f_ratios
-    agree = len(context.rig) >= MIN_KEPT_POOLED and len(known) >= MIN_POOLED
-    agree = agree and pool_f_ratios(np.array(known)) < EXPECTED_RATIO
+    known = np.array(state.f_ratios)
+    agree = False
+    if len(context.rig) >= MIN_KEPT_POOLED and len(known) >= MIN_POOLED:
+        agree = (pool_f_ratios(known) if state.object.is_bounded else known.max()) < EXPECTED_RATIO
     return not agree and len(known) < context.options.n_pooled_f_ratios
 
 
