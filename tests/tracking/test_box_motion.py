@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import cv2
 import numpy as np
@@ -19,7 +21,13 @@ from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.context import Context, Frame, LocalExecutor
-from sylpose.tracking.first_motion import OUTSIDE_REASON, is_box_center_static, select_static_matches
+from sylpose.tracking.first_motion import (
+    OUTSIDE_REASON,
+    FirstMotion,
+    _is_at_edges,
+    is_box_center_static,
+    select_static_matches,
+)
 from sylpose.tracking.joint_side.joint_state import JointState, KnownFrames, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.tracker import track
@@ -29,22 +37,26 @@ RADIUS = 0.15
 RIG = ring(3, 1.5, 1000.0)
 
 
+def make_bounded_state(rig: Rig = RIG) -> JointState:
+    """Return the state after the first frame, with boxes."""
+    n, cloud = len(rig), np.random.default_rng(0).uniform(-RADIUS, RADIUS, (200, 3))
+    start = RigidTransform.identity()
+    first = SolvedFrame(0, 0.0, np.zeros(n), start, np.zeros((6, 6)), np.zeros((n, 3)), np.ones(n, bool))
+    model = ObjectModel(np.zeros(3), RADIUS, cloud, is_bounded=True, is_depth_guessed=True)
+    return JointState(model, KnownFrames(first, (first,)))
+
+
 def simulate_box_motion(shifts: list[tuple[float, float]], rig: Rig = RIG) -> tuple[bool, list[int]]:
     """Simulate displacements at the center and at the edge of each camera's box, pixels (NaN: no features).
 
     Returns:
         whether the center is static; number of static matches per camera.
     """
-    executor = LocalExecutor(len(rig), 1)
-    start, rng = RigidTransform.identity(), np.random.default_rng(0)
-    cloud = rng.uniform(-RADIUS, RADIUS, (200, 3))
-    n = len(rig)
-    first = SolvedFrame(0, 0.0, np.zeros(n), start, np.zeros((6, 6)), np.zeros((n, 3)), np.ones(n, bool))
-    model = ObjectModel(np.zeros(3), RADIUS, cloud, is_bounded=True, is_depth_guessed=True)
-    state = JointState(model, KnownFrames(first, (first,)))
+    executor, rng, n = LocalExecutor(len(rig), 1), np.random.default_rng(0), len(rig)
+    state = make_bounded_state(rig)
     pairs, cameras = [], []
     for camera, moves in zip(rig, shifts, strict=True):
-        outline = camera.project(cloud)
+        outline = camera.project(state.object.points)
         low, size = outline.min(axis=0), np.ptp(outline, axis=0)
         at = rng.uniform(0.3, 0.7, (30, 2)), rng.uniform(0.0, 0.1, (30, 2))
         seen = [(low + size * where, px) for where, px in zip(at, moves, strict=True) if np.isfinite(px)]
@@ -92,6 +104,35 @@ def make_pair(before: FloatArray, after: FloatArray) -> FrameMatches:
 )
 def test_static_box_center(shifts: list[tuple[float, float]], stands: bool) -> None:
     assert simulate_box_motion(shifts)[0] is stands
+
+
+@pytest.mark.parametrize(
+    ("n_center", "n_edge", "follows", "expected"),
+    [
+        (60, 30, "edge", True),  # a trunk behind an object that hardly moves yet
+        (60, 30, "center", False),
+        (60, 30, "all", False),
+        (0, 30, "edge", False),  # only the border of a board is printed
+        (5, 60, "edge", True),
+    ],
+)
+def test_motion_at_the_edges_of_the_boxes(n_center: int, n_edge: int, follows: str, expected: bool) -> None:
+    rng, state, n = np.random.default_rng(0), make_bounded_state(), len(RIG)
+    cameras, pairs, inliers = list[CameraTracker](), list[list[FrameMatches]](), list[list[FrameMatches]]()
+    for c, camera in enumerate(RIG):
+        outline = camera.project(state.object.points)
+        low, size = outline.min(axis=0), np.ptp(outline, axis=0)
+        at = np.concatenate([rng.uniform(0.4, 0.6, (n_center, 2)), rng.uniform(0.05, 0.2, (n_edge, 2))])
+        before, is_center = low + size * at, np.arange(n_center + n_edge) < n_center
+        pair, tracker = make_pair(before, before + 9.0), CameraTracker(c, camera)
+        tracker.frames = {0: CameraFrame(make_features(before), np.zeros(len(before), bool), LandmarkTable())}
+        is_follower = {"center": is_center, "edge": ~is_center, "all": np.ones(len(before), bool)}[follows]
+        cameras.append(tracker)
+        pairs.append([pair])
+        inliers.append([pair.subset(is_follower)])
+    context = Context(RIG, cameras, LocalExecutor(n, 1), "landmarks", False, True, np.zeros(n), 0)
+    motion = cast(FirstMotion, SimpleNamespace(inliers=inliers))
+    assert _is_at_edges(context, state, pairs, motion) is expected
 
 
 def test_static_matches_are_selected() -> None:

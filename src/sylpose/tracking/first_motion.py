@@ -440,7 +440,10 @@ def _update_depth(
     is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
     if not initial_motion.is_significant or is_unclear or is_far:
         return state, None
-    if state.object.is_depth_guessed and initial_motion.compute_f_ratio() > context.options.max_pooled_f_ratio:
+    if state.object.is_depth_guessed and (
+        initial_motion.compute_f_ratio() > context.options.max_pooled_f_ratio
+        or _is_at_edges(context, state, pairs, initial_motion)
+    ):
         return state, None  # all later frames would build on it
     radius, current_pose = initial_motion.radius, initial_motion.motion * first.world_from_object
     motion = KnownMotion({first.number: first.world_from_object}, current_pose, radius)
@@ -537,6 +540,42 @@ def _report_box_motion(camera: Camera, points: FloatArray, pairs: Pairs, static_
     counts = [len(np.unique(feature[some])) for some in (is_center, is_moving)]
     pixels = [float(np.median(displacement[some])) if some.any() else np.nan for some in (is_center, is_moving)]
     return BoxMotionReport(counts[0], pixels[0], pixels[0] <= static_px, counts[1], pixels[1])
+
+
+def _is_at_edges(context: Context, state: JointState, pairs: CameraPairs, motion: FirstMotion) -> bool:
+    """Return whether a motion since the first frame is that of something at the edges of the boxes.
+
+    Its matches are at the centers less often than if they were spread evenly, and less often than those of what does not
+    follow it: the object, which moves slowly before a person.
+
+    Args:
+        pairs: per camera, local: the matches.
+    """
+    first = state.frames.first
+    regions = context.project_regions(state, first.world_from_object)
+    sides = zip(context.cameras, regions, pairs, motion.inliers, strict=True)
+    own_counts = [_count_central(camera, region, first.number, own, inliers) for camera, region, own, inliers in sides]
+    counts = np.array(context.executor.gather(own_counts, (0, 0, 0, 0))).sum(axis=0)
+    following, others = counts[:2], counts[2:]
+    return bool(following[1] < CENTER_RATIO**2 * following[0] and following[1] * others[0] < others[1] * following[0])
+
+
+def _count_central(
+    camera: CameraTracker, region: Region, first_number: int, pairs: Pairs, inliers: Pairs
+) -> tuple[int, int, int, int]:
+    """Count the matched features of the first frame that follow a motion, and the others: all, and those at the center."""
+    if region is None or first_number not in camera.frames:
+        return 0, 0, 0, 0
+    features = camera.frames[first_number].features
+    is_matched, is_following = np.zeros((2, len(features)), bool)
+    for mask, parts in ((is_matched, pairs), (is_following, inliers)):
+        for pair in parts:
+            if pair.reference == first_number:
+                mask[pair.indices[:, 0]] = True
+    is_central, is_other = camera.find_inside(features, _shrink(region)), is_matched & ~is_following
+    both = (is_following, is_following & is_central, is_other, is_other & is_central)
+    counts = [int(np.count_nonzero(mask)) for mask in both]
+    return counts[0], counts[1], counts[2], counts[3]
 
 
 def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: RigidTransform) -> bool:
