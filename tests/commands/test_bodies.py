@@ -10,7 +10,11 @@ import pytest
 
 from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.commands.main import main
+from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory
+from sylpose.runs.candidates import select_candidate
+from sylpose.runs.check import find_tracking_target
+from sylpose.runs.options import RunOptions
 from sylpose.status import FrameStatus
 from tests.tracking.test_bodies import make_two_bodies
 
@@ -35,6 +39,21 @@ def test_check_draws_all_bodies(two_bodies: Path, tmp_path: Path, capsys: pytest
     assert picture is not None
     # One row per body.
     assert np.isclose(picture.shape[0] / picture.shape[1], 2 * 240 / (3 * 320), rtol=0.01)
+
+
+def test_check_searches_the_frames_that_are_tracked(
+    two_bodies: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So that number N is the same body for `sylpose track` with the same options."""
+    options = ["--start", "2", "--stop", "7", "--every", "2"]
+    assert main(["check", str(two_bodies), "--out", str(tmp_path), *options]) == 0
+    assert "body 1, which moves from frame 2 to" in capsys.readouterr().out
+    session = open_session(two_bodies)
+    target = find_tracking_target(session, RunOptions(start=2, stop=7, every=2))
+    chosen = select_candidate(session, RunOptions(start=2, stop=7, every=2, candidate=2))
+    assert chosen is not None
+    for drawn, features in zip(target.views[1].features or (), chosen.features, strict=True):
+        np.testing.assert_array_equal(drawn, features)
 
 
 def test_track_explains_ambiguity(two_bodies: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

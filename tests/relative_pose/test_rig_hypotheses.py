@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MAX_POOLED_F_RATIO
 from sylpose.relative_pose.rig_hypotheses import (
     MAX_AGREEING,
     MAX_NAMED,
-    MAX_PAIR_RATIO,
     MIN_PAIRS,
     FramePair,
     Hypothesis,
@@ -189,9 +189,10 @@ def test_no_motion_and_no_matches_are_no_agreement() -> None:
 def test_selection_needs_pairs_and_a_clear_reduction() -> None:
     mirrored, left_out = Hypothesis(Mistake.MIRRORED), Hypothesis(Mistake.INCONSISTENT, (0,))
     assert select_explanations([HypothesisFit(mirrored, 0.5, 100.0, MIN_PAIRS - 1)]) == []
-    assert select_explanations([HypothesisFit(mirrored, 0.5, MAX_PAIR_RATIO, 5)]) == []
+    assert select_explanations([HypothesisFit(mirrored, 0.5, MAX_POOLED_F_RATIO, 5)]) == []
+    assert select_explanations([HypothesisFit(mirrored, 0.5, 1.01 * MAX_POOLED_F_RATIO, 5)])
     assert select_explanations([HypothesisFit(mirrored, 1.01 * MAX_AGREEING, 100.0, 5)]) == []
-    assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, 5, 2 * MAX_PAIR_RATIO)]) == []
+    assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, 5, 1.01 * MAX_F_RATIO)]) == []
     assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, MIN_PAIRS)]) == []
     assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, MIN_PAIRS + 1)])
     assert select_explanations([]) == []

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
-from sylpose.commands.app import command
-from sylpose.commands.options import BoxesFile, FrameOffset, OutFolder, RecordingOptions, WorldOptions
+from sylpose.commands.app import command, pick
+from sylpose.commands.options import BoxesFile, FrameOffset, OutFolder, RecordingOptions, StepOptions, WorldOptions
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckOptions(WorldOptions, RecordingOptions):
+class CheckOptions(WorldOptions, StepOptions, RecordingOptions):
     """Options of `sylpose check`."""
 
     boxes: BoxesFile = None
@@ -34,11 +33,16 @@ def check(options: CheckOptions) -> None:
     from sylpose.report.rigview import describe_rig, plot_rig
     from sylpose.runs import check as checks
     from sylpose.runs import console_output, rig_evidence
+    from sylpose.runs.candidates import list_frames
+    from sylpose.runs.options import RunOptions
     from sylpose.runs.results_folder import check_output_folder
     from sylpose.runs.run import output_path
     from sylpose.runs.run_metadata import WORLD
+    from sylpose.sync.offsets import apply_offsets, find_offsets
 
     session = options.apply_to(options.open(options.boxes, options.frame_offset))
+    run_options = pick(options, RunOptions, offsets=find_offsets(session))
+    session = apply_offsets(session, run_options.offsets or {})
     folder = output_path(session, options.out)
     check_output_folder(session, folder)
     pictures = [make_output_folder(folder) / "rig.png"]
@@ -53,7 +57,7 @@ def check(options: CheckOptions) -> None:
     console_output.print_facts(console, checks.collect_facts(session, locations))
     plot_rig(session.rig, pictures[0], location.center if location.radius else None, location.radius)
     errors = checks.list_errors(locations)
-    target = None if errors else checks.find_tracking_target(session)
+    target = None if errors else checks.find_tracking_target(session, run_options)
     views = [] if target is None else target.views
     if views:
         pictures.append(folder / "target.png")
@@ -66,19 +70,19 @@ def check(options: CheckOptions) -> None:
     console.print()
     if target is not None:
         console.print(f"Target: {target.description}.", highlight=False)
-    problems, is_rig_wrong = checks.list_warnings(session, locations), False
+    problems, findings = checks.list_warnings(session, locations, options.start), None
     if target is not None:
         unusable = list[str]()
-        findings = rig_evidence.examine_rig(session.rig, partial(session.frames, on_problem=unusable.append))
+        frames = list_frames(session, run_options, unusable.append)
+        findings = rig_evidence.examine_rig(session.rig, *frames, target.f_ratio)
         problems += dict.fromkeys(unusable)
         problems += rig_evidence.describe_findings(session, findings)
-        is_rig_wrong = findings.is_rig_wrong
         # What was or was not found to move under a wrong rig is no problem of its own.
-        problems += [] if is_rig_wrong else target.warnings
+        problems += [] if findings.is_rig_wrong else target.warnings
     console_output.print_warnings(console, problems)
     if errors:
         raise ValueError(f"{'; '.join(errors)}; correct the boxes: {checks.boxes_hint(session)}")
-    if is_rig_wrong:
+    if findings is not None and findings.is_contradicted:
         console.print("Not ready to track: poses would be wrong; see the warnings above.")
     elif problems:
         console.print("Can be tracked; see the warnings above.")

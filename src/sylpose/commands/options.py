@@ -183,6 +183,17 @@ class RangeOptions(CommandOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class StepOptions(RangeOptions):
+    """Frames to process, with a step.
+
+    Attributes:
+        every: Use every N-th frame.
+    """
+
+    every: Annotated[int, option("--every N", INPUT)] = 1
+
+
+@dataclass(frozen=True, kw_only=True)
 class SeedOptions(CommandOptions):
     """Random seed."""
 

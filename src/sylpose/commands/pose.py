@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sylpose.commands.app import ADVANCED, INPUT, OUTPUT, command, exit_with_failures, option
-from sylpose.commands.options import CameraOptions, PlotFormat, RangeOptions, Seed, Unit, parse_video_option
+from sylpose.commands.options import CameraOptions, PlotFormat, Seed, StepOptions, Unit, parse_video_option
 from sylpose.units import METERS
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseOptions(RangeOptions, CameraOptions):
+class PoseOptions(StepOptions, CameraOptions):
     """Options of `sylpose pose`.
 
     Attributes:
@@ -37,7 +37,6 @@ class PoseOptions(RangeOptions, CameraOptions):
         is_in: Set the length unit of MODEL if the file has none.
         likelihood: Ignore table points with a lower likelihood.
         max_error_px: Reject points with larger residuals: five times the largest expected noise.
-        every: Use every N-th frame.
     """
 
     model: Annotated[Path, typer.Argument(metavar="MODEL")]
@@ -48,7 +47,6 @@ class PoseOptions(RangeOptions, CameraOptions):
     likelihood: Annotated[float, option("--likelihood P", ADVANCED, min=0, max=1)] = 0.6
     # Points with a larger residual are outliers for any noise: five times two and a half pixels (choice).
     max_error_px: Annotated[float, option("--max-error PX", ADVANCED)] = 12.0
-    every: Annotated[int, option("--every N", INPUT)] = 1
     plot_format: PlotFormat = "png"
     seed: Seed = 0
 

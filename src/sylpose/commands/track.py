@@ -21,6 +21,7 @@ from sylpose.commands.options import (
     RefineCalibration,
     Seed,
     Smooth,
+    StepOptions,
 )
 from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording
 from sylpose.input_limits import print_message
@@ -60,19 +61,19 @@ _NOT_WITH_MESH = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, RecordingOptions):
+class TrackOptions(StepOptions, SelfCalibrationOptions, DisplayOptions, MethodOptions, RecordingOptions):
     """Options of `sylpose track`.
 
     Attributes:
         method: Select the estimation method; see below.
         self_calibrate: First calibrate the cameras from the object that moves, as sylpose calibrate does, with the lenses
             of --intrinsics, or of --calibration; its poses are ignored.
-        known: Without boxes, track body N of those that `sylpose check` draws; or express poses in the frame of an
-            object.npz from another recording; for several objects, repeat with NAME=FILE.
+        known: Without boxes, track body N of those that `sylpose check` draws with the same --start, --stop and --every;
+            or express poses in the frame of an object.npz from another recording; for several objects, repeat with
+            NAME=FILE.
         mesh: Track a body of this shape by its outlines, without features: STL, OBJ, PLY or GLB; poses are those of its
             axes.
         mesh_unit: Set the length unit of the mesh's file; default: meters.
-        every: Track every N-th frame.
         follow: Track image folders that a recorder is still writing.
         no_drop: With --follow, track all frames, regardless of the delay.
         distributed: Run one node per camera over a simulated network: exact as in one process, or compact in fewer
@@ -89,7 +90,6 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
     mesh: Annotated[Path | None, option("--mesh FILE", OBJECT)] = None
     mesh_unit: Annotated[str | None, option(f"--mesh-unit {'|'.join(METERS)}", OBJECT)] = None
     frame_offset: FrameOffset = ()
-    every: Annotated[int, option("--every N", INPUT)] = 1
     out: OutFolder = None
     overlay: Overlay = True
     angles: EulerAxes = None

@@ -63,9 +63,9 @@ MIN_BASELINE = 1e-4
 # Cameras contradict each other beyond this F ratio (choice: right motions have at most 4 without outliers, and 1 in 100 of
 # those with 30 to 60 % outliers more than 70; half of the mirrored, turned and exchanged pairs of frames have more than 30).
 MAX_F_RATIO = 30.0
-# So do they if the median of the last known F ratios, of two in the middle the smaller one, exceeds the second value, once
-# the least number is known (choice: sensitivity in docs/history/benchmarks.md#trust).
-MIN_POOLED = 3
+# So do they if the median of several F ratios, of two in the middle the smaller one, exceeds this; while tracking, of the
+# last known ones, once the least number is known (choice: sensitivity in docs/history/benchmarks.md#trust).
+MAX_POOLED_F_RATIO, MIN_POOLED = 5.0, 3
 # For this at least so many cameras have to remain without the worst: any two nearly agree (derived: 4 constraints of 10
 # unknowns).
 MIN_KEPT_POOLED = 3

@@ -28,6 +28,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
     MAX_F_RATIO,
+    MAX_POOLED_F_RATIO,
     MIN_BASELINE,
     MIN_MATCHES,
     MIN_REDUCTION,
@@ -49,9 +50,6 @@ MAX_PERMUTED = 4
 # A hypothesis explains a contradiction if it reduces the F ratio to at most this value (choice: right hypotheses have at
 # most 1.4, others at least 3; docs/calibrating.md).
 MAX_AGREEING = 2.0
-# Pairs of frames contradict a rig together if the median of their F ratios exceeds this, and a single one an explanation
-# (choice).
-MAX_PAIR_RATIO = 10.0
 # A contradiction needs so many pairs of frames, and so does its explanation; that of a late camera needs more, since six
 # lags of each camera are tried (choice).
 MIN_PAIRS, MIN_LATE_PAIRS = 2, 3
@@ -117,9 +115,9 @@ class HypothesisFit:
         """Whether the hypothesis explains a contradiction."""
         min_pairs = MIN_LATE_PAIRS if self.hypothesis.mistake is Mistake.LATE else MIN_PAIRS
         # Two pairs have no majority: a larger ratio makes up for that.
-        min_given = MAX_PAIR_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
+        min_given = MAX_POOLED_F_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
         is_contradiction = self.n_pairs >= min_pairs and self.given_ratio > min_given
-        return is_contradiction and self.f_ratio <= MAX_AGREEING and self.worst_ratio <= MAX_PAIR_RATIO
+        return is_contradiction and self.f_ratio <= MAX_AGREEING and self.worst_ratio <= MAX_F_RATIO
 
 
 def list_hypotheses(rig: Rig) -> Iterator[Hypothesis]:
@@ -147,21 +145,18 @@ def _list_orders(n: int) -> Iterator[tuple[int, ...]]:
     yield from sorted(orders - {in_order})
 
 
-def compute_f_ratios(
-    rig: Rig, pairs: Sequence[FramePair], hypothesis: Hypothesis, without_worst: bool = False
-) -> FloatArray:
+def compute_f_ratios(rig: Rig, pairs: Sequence[FramePair], hypothesis: Hypothesis) -> FloatArray:
     """Compute the F ratio of each pair of frames once a mistake is undone.
 
     Args:
         rig: C cameras.
         pairs: P pairs of frames; for `Mistake.LATE` with the camera's matches at the times of the others.
         hypothesis: the mistake.
-        without_worst: whether one of three or more cameras may disagree.
 
     Returns:
         (P,) the ratios; infinite without a joint motion, NaN if fewer than two cameras have evidence.
     """
-    return np.array([_compare_cameras(_undo(rig, pair, hypothesis), without_worst) for pair in pairs])
+    return np.array([_compare_cameras(_undo(rig, pair, hypothesis)) for pair in pairs])
 
 
 def summarize(hypothesis: Hypothesis, ratios: FloatArray, given: FloatArray) -> HypothesisFit:
@@ -233,7 +228,7 @@ def _undo_image(camera: Camera, matches: CameraMatches, mistake: Mistake) -> Cam
     return undo(matches[0]), undo(matches[1])
 
 
-def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]], without_worst: bool) -> float:
+def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]]) -> float:
     """Return the F ratio of a pair of frames; infinite without a joint motion, NaN without evidence."""
     terms = [
         TermData(c, camera.normalize(x), camera.normalize(y), camera.rotation, camera.center, camera.focal)
@@ -251,4 +246,4 @@ def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]], without_wors
         # Without a baseline every match fits, whatever the rig.
         return np.inf
     excess, _ = measure_excess(terms, *motion)
-    return compute_f_ratio(excess) if without_worst else compute_f_ratio(excess, len(excess))
+    return compute_f_ratio(excess, len(excess))

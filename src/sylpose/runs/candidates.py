@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 
 from sylpose.frames import FrameSet
@@ -19,6 +20,9 @@ from sylpose.tracking.bodies import (
 )
 from sylpose.tracking.context import Candidate
 
+# Yields the frame sets of increasing numbers, as `Session.frames_at` does.
+ReadFrames = Callable[[Sequence[int]], Generator[FrameSet, None, None]]
+
 
 def find_session_candidates(session: Session, options: RunOptions | None = None) -> list[Candidate]:
     """Find the bodies that move in a recording, by decreasing number of matches.
@@ -28,7 +32,7 @@ def find_session_candidates(session: Session, options: RunOptions | None = None)
         options: frames to search, seed, limits and workers; None: all frames.
     """
     options = options or RunOptions()
-    windows = _read_windows(session, options)
+    windows = read_windows(*list_frames(session, options))
     return find_candidates(session.rig, windows, seed=options.seed, workers=options.workers, options=options.tracking)
 
 
@@ -57,25 +61,30 @@ def compare_session_cameras(session: Session, name: str, options: RunOptions) ->
     return compare_cameras(session.rig, frames, boxes, workers=options.workers, options=options.tracking)
 
 
-def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[FrameSet]]:
-    """Read windows of frames spread over the recording.
+def list_frames(
+    session: Session, options: RunOptions, on_problem: Callable[[str], None] | None = None
+) -> tuple[range, ReadFrames]:
+    """Return the numbers of the frames that are tracked, and a function that reads some of them."""
+    end = session.n_frames if options.stop is None else min(options.stop, session.n_frames)
+    read = partial(session.frames_at, every=options.every, on_problem=on_problem or _ignore)
+    return range(options.start, end, options.every), read
+
+
+def read_windows(numbers: range, read: ReadFrames) -> Iterator[Sequence[FrameSet]]:
+    """Read windows of frames spread over a recording.
 
     In its first half, a window begins where most cameras have an image: some start late, or with black pictures.
     """
-    start, every = options.start, options.every
-    end = session.n_frames if options.stop is None else min(options.stop, session.n_frames)
-    windows = select_windows(len(range(start, end, every)))
-    indices = [start + k * every for k in sorted({*chain(*windows)})]
+    windows = [[*numbers[window.start : window.stop]] for window in select_windows(len(numbers))]
     known = dict[int, FrameSet]()
-    with closing(session.frames_at(indices, every, _ignore)) as reader:
+    with closing(read(sorted({*chain(*windows)}))) as reader:
         for window in windows:
-            numbers = [start + k * every for k in window]
-            known = {k: frames for k, frames in known.items() if k in numbers}
-            while numbers[-1] not in known and (frames := next(reader, None)) is not None:
+            known = {k: frames for k, frames in known.items() if k in window}
+            while window[-1] not in known and (frames := next(reader, None)) is not None:
                 known[frames.index] = reduce_frame_set(frames)
-            read = [known[k] for k in numbers if k in known]
-            n_images = [sum(image is not None for image in frames.images) for frames in read[: len(read) // 2 + 1]]
-            yield read[n_images.index(max(n_images)) :] if read else []
+            own = [known[k] for k in window if k in known]
+            n_images = [sum(image is not None for image in frames.images) for frames in own[: len(own) // 2 + 1]]
+            yield own[n_images.index(max(n_images)) :] if own else []
 
 
 def _ignore(_problem: str) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sylpose.display import format_length
-from sylpose.frames import Box
+from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration import format_name
 from sylpose.io.calibration.unit_consistency import describe_unit_outlier
@@ -19,12 +20,12 @@ from sylpose.io.capture.timeline import Timeline
 from sylpose.report.drawing import View
 from sylpose.report.rigview import describe_rig, find_axes_intersection
 from sylpose.rig import Camera, Rig
-from sylpose.runs.candidates import find_session_candidates
+from sylpose.runs.candidates import compare_session_cameras, find_session_candidates
 from sylpose.runs.console_output import select_solved_frames
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run_result import Run
 from sylpose.status import DOUBTFUL, FrameStatus
 from sylpose.tracking.joint_side.object_model import carve_box_volume
-from sylpose.tracking.options import TrackingOptions
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
 # common trigger reach one frame in either direction).
@@ -66,22 +67,24 @@ class Preview:
         views: of the object, or of each body that may be it; empty for a recording without frames.
         description: description.
         warnings: warnings.
+        f_ratio: by which the cameras contradict each other in its motion; NaN if unknown.
     """
 
     views: Sequence[View]
     description: str
     warnings: tuple[str, ...] = ()
+    f_ratio: float = np.nan
 
 
-def find_tracking_target(session: Session) -> Preview:
-    """Return the tracking target: the first object's boxes, or whatever moves if there are none."""
-    name = next(iter(session.objects), None)
-    boxes = session.boxes if name is None else session.select_object(name).boxes
+def find_tracking_target(session: Session, options: RunOptions | None = None) -> Preview:
+    """Return the tracking target, as `track_session` does: the first object's boxes, or whatever moves without any."""
+    options, name = options or RunOptions(), session.objects[0]
+    boxes = session.select_object(name).boxes
     if not boxes:
-        return preview_moving_object(session)
-    first = next(iter(session.frames(on_problem=_ignore)), None)
-    views = [] if first is None else [View("", first, box_outlines(session, boxes))]
-    return Preview(views, f"the object in the boxes of {', '.join(boxes)}")
+        return preview_moving_object(session, options)
+    views = [View("", first, box_outlines(session, boxes)) for first in _read_frame(session, options.start)]
+    f_ratio = compare_session_cameras(session, name, options)
+    return Preview(views, f"the object in the boxes of {', '.join(boxes)}", f_ratio=f_ratio)
 
 
 def locate_object(session: Session | LiveSession) -> ObjectLocation:
@@ -290,33 +293,34 @@ def _check_boxes(session: Session | LiveSession, location: ObjectLocation, start
     return found
 
 
-def preview_moving_object(session: Session) -> Preview:
-    """Find the bodies that move in a recording, as `track` does, and draw those that may be the object."""
-    candidates, names = find_session_candidates(session), session.rig.names
+def preview_moving_object(session: Session, options: RunOptions | None = None) -> Preview:
+    """Find the bodies that move in a recording, as `track_session` does, and draw those that may be the object."""
+    options, names = options or RunOptions(), session.rig.names
+    candidates = find_session_candidates(session, options)
     if not candidates:
-        first = next(iter(session.frames(on_problem=_ignore)), None)
         description = (
             "Without boxes, the moving object is tracked, but no rigid body was found to move. Select the object with "
             f"boxes: {boxes_hint(session)}."
         )
-        return Preview([] if first is None else [View("", first, (None,) * len(names))], "nothing yet", (description,))
-    is_ambiguous = candidates[0].is_ambiguous(TrackingOptions())
+        views = [View("", first, (None,) * len(names)) for first in _read_frame(session, options.start)]
+        return Preview(views, "nothing yet", (description,))
+    is_ambiguous = candidates[0].is_ambiguous(options.tracking)
     views, lines = list[View](), list[str]()
     for number, candidate in enumerate(candidates if is_ambiguous else candidates[:1], start=1):
-        frames = next(iter(session.frames(candidate.first, on_problem=_ignore)))
         label = f"{number}" if is_ambiguous else ""
-        views.append(View(label, frames, candidate.outlines, candidate.features))
+        for frames in _read_frame(session, candidate.first):
+            views.append(View(label, frames, candidate.outlines, candidate.features))
         columns = zip(names, map(len, candidate.features), candidate.displacements_px.tolist(), strict=True)
         counts = ", ".join(f"{name} {n} features, {px:.0f} px" for name, n, px in columns if n)
         lines.append(f"from frame {candidate.first} to {candidate.last}: {counts}")
     if not is_ambiguous:
-        return Preview(views, f"what moves {lines[0]}")
+        return Preview(views, f"what moves {lines[0]}", f_ratio=candidates[0].f_ratio)
     description = "\n".join(f"body {number}, which moves {line}" for number, line in enumerate(lines, start=1))
     warning = (
         f"{FrameStatus.AMBIGUOUS.text} Select it with `--object N`, N the number in the picture, or with boxes: "
         f"{boxes_hint(session)}."
     )
-    return Preview(views, description, (warning,))
+    return Preview(views, description, (warning,), candidates[0].f_ratio)
 
 
 def box_outlines(session: Session, boxes: Mapping[str, Box]) -> tuple[FloatArray | None, ...]:
@@ -404,5 +408,7 @@ def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
     return reasons
 
 
-def _ignore(_: str) -> None:
-    """Ignore a problem of a frame that is only drawn."""
+def _read_frame(session: Session, number: int) -> Sequence[FrameSet]:
+    """Read a frame set to be drawn; empty if there is none. Its problems are reported elsewhere."""
+    with closing(session.frames(number, number + 1, on_problem=lambda _: None)) as reader:
+        return [*reader]

@@ -1,30 +1,33 @@
-"""Evidence in the first frames of a recording for or against its rig: do the cameras agree, and if not, why.
+"""Evidence in a recording for or against its rig: do the cameras agree, and if not, why.
 
-Compared are features that move, whatever they belong to: neither boxes nor a motion that was found under the given rig
-are used, since both are wrong if the rig is.
+Compared are features that move in windows of frames spread over the recording, whatever they belong to: neither boxes nor
+a motion that was found under the given rig are used, since both are wrong if the rig is.
 """
 
 from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import BoolArray, FloatArray, Image
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.io.capture import Session
 from sylpose.io.capture.session import use_frames_as_coded
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MIN_MATCHES
+from sylpose.relative_pose.camera_evidence import (
+    MAX_POOLED_F_RATIO,
+    MIN_MATCHES,
+    MIN_REDUCTION,
+    pool_f_ratios,
+)
 from sylpose.relative_pose.rig_hypotheses import (
-    MAX_PAIR_RATIO,
-    MIN_PAIRS,
     CameraMatches,
     FramePair,
     Hypothesis,
@@ -36,21 +39,21 @@ from sylpose.relative_pose.rig_hypotheses import (
     summarize,
 )
 from sylpose.rig import Rig, intersect_rays
-from sylpose.tracking.bodies import find_rigid_motion
-from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
+from sylpose.runs.candidates import ReadFrames, list_frames, read_windows
+from sylpose.runs.options import RunOptions
+from sylpose.tracking.bodies import GAPS, MAX_PIXELS, find_rigid_motion, reduce_frame_set
+from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, match_frames
 from sylpose.tracking.context import LocalExecutor
 from sylpose.tracking.options import TrackingOptions
 
-# Pairs of frames that are compared (choice).
-MAX_PAIRS = 5
-# Median displacement of what moves between the frames of a pair, as a share of the image's diagonal, and numbers of frames
-# between them that are tried (choice: 24 pixels of 640x480; the rotation of a small one shows nothing of the rig).
-MIN_MOTION, GAPS = 0.03, (1, 2, 4, 6, 8, 12, 16)
+# Median displacement of what moves between the frames of a pair, as a share of the image's diagonal (choice: 24 pixels of
+# 640x480; the rotation of a small one shows nothing of the rig).
+MIN_MOTION = 0.03
 # A camera may be late or early by so many frames (choice).
 MAX_LAG = 3
-# Images are compared in so many frames; so many identical ones in a row are a frozen picture (choice).
-MAX_COMPARED_FRAMES, MIN_FROZEN_FRAMES = 30, 6
+# So many identical images in a row are a frozen picture (choice).
+MIN_FROZEN_FRAMES = 6
 
 # What is seen of images, and the filter of FFmpeg that undoes it.
 IMAGE_MISTAKES = {
@@ -64,41 +67,50 @@ IMAGE_MISTAKES = {
 
 @dataclass(frozen=True, eq=False)
 class MotionEvidence:
-    """What moves in the first frames of a recording.
+    """What moves in a recording.
 
     Attributes:
         frames: numbers (i, j) of the frames of each pair.
         pairs: P pairs: matches of moving features, of the cameras that see a rigid motion.
         static: P, C: pixels (n, 2) of the features that do not move.
         sees_motion: (C,) cameras that see a rigid motion between any two frames that were tried.
-        changes: (F - 1, C) whether each camera's image differs from its previous one.
+        numbers: (F,) of all frames that were read.
+        has_image: (F, C) whether each camera has an image; repeated and black pictures have been removed.
     """
 
     frames: tuple[tuple[int, int], ...]
     pairs: tuple[FramePair, ...]
     static: tuple[Sequence[FloatArray], ...]
     sees_motion: BoolArray
-    changes: BoolArray
+    numbers: IntArray
+    has_image: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
 class RigFindings:
-    """What the first frames show of a rig.
+    """What a recording shows of a rig.
 
     Attributes:
         frames: numbers of the first and the last frame compared; None if too little moves.
-        is_contradicted: whether the cameras contradict each other.
-        explanations: the mistakes that explain it equally well, best first; empty if none does, or too many.
-        frozen: by camera index, the first and the last frame of identical images while others change.
+        exceeds_limit: whether the F ratio exceeds the limit of the tracker.
+        explanations: the mistakes that explain a contradiction equally well, best first; empty if none does, or too many.
+        suspect: without explanations, index of the camera without which the median F ratio is least, if that is clear.
+        frozen: by camera index, the first and the last frame without a new image while others have one.
         still: indices of cameras in which nothing moves where the others see the object, or in which too little moves while
             the only other one sees motion.
     """
 
     frames: tuple[int, int] | None
-    is_contradicted: bool
-    explanations: tuple[HypothesisFit, ...]
-    frozen: dict[int, tuple[int, int]]
-    still: tuple[int, ...]
+    exceeds_limit: bool = False
+    explanations: tuple[HypothesisFit, ...] = ()
+    suspect: int | None = None
+    frozen: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    still: tuple[int, ...] = ()
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the cameras contradict each other, so that poses would be wrong."""
+        return self.exceeds_limit or self.is_rig_wrong
 
     @property
     def is_rig_wrong(self) -> bool:
@@ -106,23 +118,25 @@ class RigFindings:
         return any(fit.hypothesis.mistake is not Mistake.INCONSISTENT for fit in self.explanations)
 
 
-def examine_rig(rig: Rig, read_frames: Callable[[], Iterable[FrameSet]]) -> RigFindings:
-    """Compare the cameras of a recording in its first moving frames.
+def examine_rig(rig: Rig, numbers: range, read: ReadFrames, f_ratio: float = np.nan) -> RigFindings:
+    """Compare the cameras of a recording in what moves.
 
     Args:
         rig: the cameras.
-        read_frames: returns the frame sets from the first on; called again if the cameras contradict each other.
+        numbers: of the frames that are tracked.
+        read: reads some of them, see `list_frames`; called again if the cameras contradict each other.
+        f_ratio: by which the cameras contradict each other in the motion of the object alone; NaN if unknown. It decides
+            where no mistake explains a contradiction: other things may move as well.
     """
-    evidence = collect_motion(rig, read_frames())
-    frozen = find_frozen(evidence.changes)
+    evidence = collect_motion(rig, read_windows(numbers, read))
+    frozen = find_frozen(evidence)
     still = tuple(c for c in find_still(rig, evidence) if c not in frozen)
     if not evidence.pairs:
-        return RigFindings(None, False, (), frozen, still)
-    span = evidence.frames[0][0], evidence.frames[-1][1]
+        return RigFindings(None, frozen=frozen, still=still)
+    span = evidence.frames[0][0], max(last for _, last in evidence.frames)
     given = compute_f_ratios(rig, evidence.pairs, Hypothesis())
-    fit = summarize(Hypothesis(), given, given)
-    if not (fit.n_pairs >= MIN_PAIRS and fit.given_ratio > MAX_PAIR_RATIO):
-        return RigFindings(span, False, (), frozen, still)
+    if not np.fmax(pool_f_ratios(given), f_ratio) > MAX_POOLED_F_RATIO:
+        return RigFindings(span, frozen=frozen, still=still)
     fits = [
         summarize(hypothesis, compute_f_ratios(rig, evidence.pairs, hypothesis), given)
         for hypothesis in list_hypotheses(rig)
@@ -130,13 +144,15 @@ def examine_rig(rig: Rig, read_frames: Callable[[], Iterable[FrameSet]]) -> RigF
     explanations = select_explanations(fits)
     # Of two cameras, one that is late may look like other mistakes; of more, only like one that is to be left out.
     if len(rig) == 2 or not any(fit.hypothesis.mistake is not Mistake.INCONSISTENT for fit in explanations):
-        lags = _evaluate_lags(rig, read_frames, evidence, given)
+        lags = _evaluate_lags(rig, numbers, read, evidence, given)
         explanations = select_explanations([*fits, *lags])
-    if not explanations:
-        # Of three or more cameras, one may see something else that moves.
-        given = compute_f_ratios(rig, evidence.pairs, Hypothesis(), without_worst=True)
-    is_contradicted = bool(explanations) or summarize(Hypothesis(), given, given).given_ratio > MAX_F_RATIO
-    return RigFindings(span, is_contradicted, tuple(explanations), frozen, still)
+    if len(explanations) > 1 and all(fit.hypothesis.mistake is Mistake.INCONSISTENT for fit in explanations):
+        # Any two cameras nearly agree: the one without which they do so best is a suspect only.
+        explanations = []
+    if np.isnan(f_ratio):
+        f_ratio = float(pool_f_ratios(given))
+    suspect = None if explanations else find_suspect(fits)
+    return RigFindings(span, f_ratio > MAX_POOLED_F_RATIO, tuple(explanations), suspect, frozen, still)
 
 
 def resolve_orientation(session: Session) -> Session:
@@ -145,20 +161,19 @@ def resolve_orientation(session: Session) -> Session:
     Calibration programs that are not based on OpenCV or FFmpeg ignore what the files specify.
     """
     coded = use_frames_as_coded(session)
-    if not examine_rig(session.rig, session.frames).is_contradicted:
-        return session
-    if examine_rig(coded.rig, coded.frames).is_contradicted:
+    found = (examine_rig(own.rig, *list_frames(own, RunOptions())).is_contradicted for own in (session, coded))
+    if not next(found) or next(found):
         return session
     text = "The files' rotation is not applied: the cameras agree only without it."
     return replace(coded, warnings=(*coded.warnings, text))
 
 
 def _evaluate_lags(
-    rig: Rig, read_frames: Callable[[], Iterable[FrameSet]], evidence: MotionEvidence, given: FloatArray
+    rig: Rig, numbers: range, read: ReadFrames, evidence: MotionEvidence, given: FloatArray
 ) -> list[HypothesisFit]:
     """Evaluate whether a camera is late; given are the F ratios (P,) without that."""
     lags = [lag for lag in range(-MAX_LAG, MAX_LAG + 1) if lag]
-    shifted = _match_shifted(rig, read_frames(), evidence.frames, lags)
+    shifted = _match_shifted(rig, numbers, read, evidence.frames, lags)
     fits = []
     # Of two cameras, one that is late is the same as the other one that is early.
     for c in range(1 if len(rig) == 2 else 0, len(rig)):
@@ -173,22 +188,28 @@ def _evaluate_lags(
     return fits
 
 
-def find_frozen(changes: BoolArray) -> dict[int, tuple[int, int]]:
-    """Find cameras whose images are identical while another camera's images change.
+def find_suspect(fits: Sequence[HypothesisFit]) -> int | None:
+    """Find the camera without which the F ratio is least, of the fits of all hypotheses, if it falls clearly."""
+    left_out = [fit for fit in fits if fit.hypothesis.mistake is Mistake.INCONSISTENT]
+    best = min(left_out, key=lambda fit: fit.f_ratio, default=None)
+    if best is None or not best.given_ratio > max(MIN_REDUCTION * best.f_ratio, MAX_POOLED_F_RATIO):
+        return None
+    return best.hypothesis.cameras[0]
 
-    Args:
-        changes: (F - 1, C) whether each camera's image differs from its previous one.
+
+def find_frozen(evidence: MotionEvidence) -> dict[int, tuple[int, int]]:
+    """Find cameras without a new image in many frames in a row while another camera has one in each.
 
     Returns:
-        by camera index, the first and the last of the longest row of identical images.
+        by camera index, the first and the last frame of the longest row.
     """
     found = {}
-    for c, column in enumerate(changes.T):
+    for c, column in enumerate(evidence.has_image.T):
         edges = [-1, *np.flatnonzero(column).tolist(), len(column)]
         begin, end = max(pairwise(edges), key=lambda edge: edge[1] - edge[0])
-        rows = changes[begin + 1 : end]
-        if len(rows) + 1 >= MIN_FROZEN_FRAMES and rows.all(axis=0).any():
-            found[c] = begin + 1, end
+        rows = evidence.has_image[begin + 1 : end]
+        if len(rows) >= MIN_FROZEN_FRAMES and rows.all(axis=0).any():
+            found[c] = int(evidence.numbers[begin + 1]), int(evidence.numbers[end - 1])
     return found
 
 
@@ -225,42 +246,37 @@ def _is_still(rig: Rig, pair: FramePair, static: FloatArray, c: int) -> bool:
 # --- matches of what moves --------------------------------------------------------------------------------------------
 
 
-def collect_motion(rig: Rig, frames: Iterable[FrameSet]) -> MotionEvidence:
-    """Match what moves in the first frames.
+def collect_motion(rig: Rig, windows: Iterable[Sequence[FrameSet]]) -> MotionEvidence:
+    """Match what moves in windows of frames.
 
-    The frames of a pair are so far from each other that what moves has moved by `MIN_MOTION`, or else the best of `GAPS`;
-    each pair begins where the last one ends.
+    A pair is the first frame of a window and one in which what moves has moved by `MIN_MOTION`, or else the best of `GAPS`.
     """
     cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-    chosen, tried = list[_TriedPair](), list[_TriedPair]()
-    sees_motion, changes = np.zeros(len(rig), bool), list[list[bool]]()
-    first: tuple[int, list[CameraFrame]] | None = None
-    previous: FrameSet | None = None
+    chosen, sees_motion, gap = list[_TriedPair](), np.zeros(len(rig), bool), 0
+    shown = dict[int, list[bool]]()
     with closing(_make_executor(rig)) as executor:
-        for k, images in enumerate(frames):
-            if k >= (MAX_COMPARED_FRAMES if len(chosen) == MAX_PAIRS else TrackingOptions.max_buffered_frames):
-                break
-            if previous is not None:
-                changes.append([not _are_identical(*own) for own in zip(previous.images, images.images, strict=True)])
-            previous = images
-            if len(chosen) == MAX_PAIRS or (first is not None and k - first[0] not in _list_gaps(chosen)):
-                continue
-            current = executor.run(partial(_detect, images), cameras)
-            if first is not None:
-                tried.append(_measure(cameras, (first[0], k), first[1], current))
+        for frames in filter(len, windows):
+            shown |= {images.index: [image is not None for image in images.images] for images in frames}
+            first, tried = executor.run(partial(_detect, frames[0]), cameras), list[_TriedPair]()
+            # What moves slowly does not become fast at once.
+            for last in (frames[g] for g in GAPS if gap <= 2 * g < 2 * len(frames)):
+                current = executor.run(partial(_detect, last), cameras)
+                tried.append(_measure(cameras, (frames[0].index, last.index), first, current))
                 sees_motion |= [len(x) > 0 for x, _ in tried[-1].pair]
-                if tried[-1].motion < MIN_MOTION and k - first[0] < GAPS[-1]:
-                    continue
-                chosen += _select_best(tried)
-                tried = []
-            first = k, current
-    chosen = [*chosen, *_select_best(tried)][:MAX_PAIRS]
+                if tried[-1].motion >= MIN_MOTION:
+                    break
+            best = max(tried, key=lambda own: own.information, default=None)
+            # Two cameras see the motion.
+            if best is not None and best.information > 0:
+                chosen.append(best)
+                gap = best.frames[1] - best.frames[0]
     return MotionEvidence(
         tuple(own.frames for own in chosen),
         tuple(own.pair for own in chosen),
         tuple(own.static for own in chosen),
         sees_motion,
-        np.array(changes, bool).reshape(-1, len(rig)),
+        np.array([*shown]),
+        np.array([*shown.values()]).reshape(-1, len(rig)),
     )
 
 
@@ -282,29 +298,13 @@ class _TriedPair(NamedTuple):
     information: float
 
 
-def _select_best(tried: Sequence[_TriedPair]) -> list[_TriedPair]:
-    """Return the pair of frames with most information, if two cameras see the motion."""
-    best = max(tried, key=lambda own: own.information, default=None)
-    return [best] if best is not None and best.information > 0 else []
-
-
-def _are_identical(image: Image | None, other: Image | None) -> bool:
-    return image is not None and other is not None and np.array_equal(image, other)
-
-
-def _list_gaps(chosen: Sequence[_TriedPair]) -> list[int]:
-    """Return the numbers of frames between those of the next pair: what moves slowly does not become fast at once."""
-    last = chosen[-1].frames[1] - chosen[-1].frames[0] if chosen else 0
-    return [gap for gap in GAPS if 2 * gap >= last]
-
-
 def _make_executor(rig: Rig) -> LocalExecutor:
     return LocalExecutor(len(rig), min(len(rig), os.cpu_count() or 1))
 
 
 def _detect(images: FrameSet, camera: CameraTracker) -> CameraFrame:
     max_features = TrackingOptions.max_start_features
-    features = camera.detect(camera.view_of(images), None, max_features, max_pixels=MAX_SEARCH_PIXELS)
+    features = camera.detect(camera.view_of(images), None, max_features, max_pixels=MAX_PIXELS)
     return camera.create_frame(features)
 
 
@@ -343,16 +343,15 @@ def _match_moving(
 
 
 def _match_shifted(
-    rig: Rig, frames: Iterable[FrameSet], numbers: Sequence[tuple[int, int]], lags: Sequence[int]
+    rig: Rig, numbers: range, read: ReadFrames, frames: Sequence[tuple[int, int]], lags: Sequence[int]
 ) -> dict[int, list[FramePair]]:
     """Match what moves between the same frames, all later by a lag; without matches where there are no such frames."""
     cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-    wanted = {k + lag for pair in numbers for k in pair for lag in lags}
-    with closing(_make_executor(rig)) as executor:
+    wanted = {k + lag for pair in frames for k in pair for lag in lags}
+    available = sorted(k for k in wanted if numbers.start <= k < numbers.stop)
+    with closing(_make_executor(rig)) as executor, closing(read(available)) as reader:
         detected = {
-            k: executor.run(partial(_detect, images), cameras)
-            for k, images in enumerate(islice(frames, max(wanted) + 1))
-            if k in wanted
+            images.index: executor.run(partial(_detect, reduce_frame_set(images)), cameras) for images in reader
         }
     nothing = [(np.empty((0, 2)), np.empty((0, 2)))] * len(rig)
     return {
@@ -360,7 +359,7 @@ def _match_shifted(
             _measure(cameras, (i + lag, j + lag), detected[i + lag], detected[j + lag]).pair
             if i + lag in detected and j + lag in detected
             else nothing
-            for i, j in numbers
+            for i, j in frames
         ]
         for lag in lags
     }
@@ -370,12 +369,13 @@ def _match_shifted(
 
 
 def describe_findings(session: Session, findings: RigFindings) -> list[str]:
-    """Describe what the first frames show of the rig, and what to do; empty without a problem."""
+    """Describe what a recording shows of the rig, and what to do; empty without a problem."""
     names = session.rig.names
     found = [
-        f"{names[c]}: the images of frames {begin} to {end} are identical, while other cameras see changes. If it sees the "
-        f"object, its video is frozen: record again, or exclude it (--exclude-camera {names[c]})."
+        f"{names[c]}: no new picture from frame {begin} to {end}, while other cameras have some. Its video is frozen or "
+        f"black: record again, or exclude it (--exclude-camera {names[c]})."
         for c, (begin, end) in findings.frozen.items()
+        if (session.timeline.frames[begin : end + 1, c] >= 0).all()
     ]
     seen = (
         "too little moves to compare it with the other camera"
@@ -386,17 +386,22 @@ def describe_findings(session: Session, findings: RigFindings) -> list[str]:
         f"{names[c]}: {seen}. Its video may be frozen or show a picture, or the object is hidden from it."
         for c in findings.still
     ]
-    if not findings.is_contradicted or findings.frames is None:
+    if findings.frames is None or not (findings.is_contradicted or findings.explanations):
         return found
     begin, end = findings.frames
     start = f"The cameras contradict each other in what moves from frame {begin} to {end}"
     explanations = [describe_mistake(session, fit.hypothesis) for fit in findings.explanations]
     if not explanations:
+        suspect = None if findings.suspect is None else names[findings.suspect]
+        remedy = (
+            "Check that the calibration belongs to these images (camera names, lenses, moved cameras), or calibrate again"
+            if suspect is None
+            else f"They do so least without {suspect}: calibrate it again, or exclude it (--exclude-camera {suspect})"
+        )
         return [
             *found,
-            f"{start}, and no usual mistake explains it. Check that the calibration belongs to these images (camera names, "
-            "lenses, moved cameras) and that the cameras are synchronized (sylpose sync). Several moving things, and bodies "
-            "that are not rigid, have the same effect.",
+            f"{start}, and no usual mistake explains it. {remedy}, and check that the cameras are synchronized (sylpose "
+            "sync). Several moving things, and bodies that are not rigid, have the same effect.",
         ]
     if len(explanations) == 1:
         return [*found, f"{start}. They agree if {explanations[0]}"]

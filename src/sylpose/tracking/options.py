@@ -9,7 +9,7 @@ import numpy as np
 
 from sylpose.features.sift import MAX_FEATURES
 from sylpose.geometry.validation import check_integer, check_number
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MAX_POOLED_F_RATIO
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class TrackingOptions:
     """
 
     max_f_ratio: float = MAX_F_RATIO
-    max_pooled_f_ratio: float = 5.0
+    max_pooled_f_ratio: float = MAX_POOLED_F_RATIO
     n_pooled_f_ratios: int = 15
     max_rival_ratio: float = 0.1
     max_rival_ratio_monocular: float = 0.5

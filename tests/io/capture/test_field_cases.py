@@ -16,7 +16,7 @@ from sylpose.io.capture.layouts import list_takes
 from sylpose.io.capture.names import image_files, image_numbers, match_names
 from sylpose.io.capture.repetitions import RepetitionFilter
 from sylpose.rig import Camera, Rig
-from sylpose.runs.candidates import _read_windows
+from sylpose.runs.candidates import list_frames, read_windows
 from sylpose.runs.options import RunOptions
 from tests.io.capture.test_capture import (
     SIZE,
@@ -252,7 +252,7 @@ def test_search_for_motion_begins_with_all_cameras(folder: Path) -> None:
     """One camera is black at first; where all have images, the window begins at the first frame."""
     for c in range(2):
         write_video(folder / f"cam_{c}.mkv", c, range(16), "ffv1")
-    assert next(window[0].index for window in _read_windows(open_session(folder), RunOptions())) == 0
+    assert next(window[0].index for window in read_windows(*list_frames(open_session(folder), RunOptions()))) == 0
     with av.open(str(folder / "cam_1.mkv"), "w") as container:
         stream = container.add_stream("ffv1", rate=10)
         stream.width, stream.height, stream.pix_fmt = *SIZE, "bgr0"
@@ -260,5 +260,5 @@ def test_search_for_motion_begins_with_all_cameras(folder: Path) -> None:
             image = paint(1, k) if k >= 3 else np.zeros_like(paint(1, k))
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
         container.mux(stream.encode(None))
-    windows = list(_read_windows(open_session(folder), RunOptions()))
+    windows = list(read_windows(*list_frames(open_session(folder), RunOptions())))
     assert [frames.index for frames in windows[0]] == [*range(3, 16)]
