@@ -64,6 +64,7 @@ NOT_CALLED = {
     "Session.frames_at": "the same: io/capture/test_random_access.py",
     "Session.select_cameras": "the same",
     "Session.select_object": "the same",
+    "Session.with_boxes": "the same",
     "Session.with_rig": "the same",
     "Session.without_static_masks": "no arguments",
     "Session.with_world": "the same",

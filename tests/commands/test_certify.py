@@ -17,6 +17,7 @@ from sylpose.io.capture import session as sessions
 from sylpose.io.capture.session import ReversedSession
 from sylpose.runs import certify
 from sylpose.runs.certificate_page import CERTIFICATE_FILES
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run_result import Run
 from sylpose.simulate.recordings import write_boxes
 from tests.runs.test_certify import SDS, make_result
@@ -63,6 +64,7 @@ def test_certificate_of_a_recording(
         (["--start", "99"], "--start must be in 0 ... 11"),
         (["--boxes", "none.toml"], "none.toml"),
         (["--out", "{}"], "this is the recording's folder"),
+        (["--object", "1"], "object 1: boxes or masks select the object; omit the number"),
         (["--seed", "-1"], "--seed must not be negative"),
     ],
 )
@@ -95,6 +97,26 @@ def test_parts_that_cannot_be_tracked_give_their_reason(session: Path, monkeypat
         "backwards: boxes: the rays do not meet.",
     ]
     assert certificate.rotation is certificate.position is None
+
+
+def test_all_parts_follow_the_selected_body(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its number is that of all cameras: parts of them have boxes about its first pose, reversed runs about its last."""
+    unboxed = replace(open_session(session), _boxes={})
+    result = make_result(np.zeros((8, 6)), SDS, unboxed.rig.names)
+    runs = list[tuple[tuple[str, ...], set[str], int | None, int]]()
+
+    def track(of: Session, _: Path, options: RunOptions, **__: object) -> Run:
+        runs.append((of.rig.names, {*of.boxes}, options.candidate, options.start))
+        return Run({"object": result}, (), (), {})
+
+    monkeypatch.setattr(certify, "track_session", track)
+    monkeypatch.setattr(certify, "bound_sphere", lambda rig, *_: dict.fromkeys(rig.names, Box(9, 9, 9, 9)))
+    certify.certify_session(unboxed, candidate=2)
+    names = unboxed.rig.names
+    assert runs[0] == (names, set(), 2, 0)
+    assert len(runs) == 5
+    assert all(boxes == {*cameras} and candidate is None for cameras, boxes, candidate, _ in runs[1:])
+    assert [start for *_, start in runs] == [0] * 4 + [unboxed.n_frames - len(result)]
 
 
 def test_interrupted_runs_write_nothing(

@@ -25,10 +25,12 @@ class CertifyOptions(SeedOptions, RangeOptions, RecordingOptions):
     """Options of `sylpose certify`.
 
     Attributes:
+        candidate: Without boxes, certify body N of those that sylpose check draws with the same --start and --stop.
         bar: Names of two objects at the ends of a stiff bar, A,B: their relative pose must be constant (ASTM E3064).
     """
 
     boxes: BoxesFile = None
+    candidate: Annotated[int | None, option("--object N", OBJECT, min=1)] = None
     bar: Annotated[str | None, option("--bar A,B", OBJECT)] = None
     frame_offset: FrameOffset = ()
     out: OutFolder = None
@@ -89,6 +91,7 @@ def certify(options: CertifyOptions) -> None:
                 start=options.start,
                 stop=options.stop,
                 seed=options.seed,
+                candidate=options.candidate,
                 bar=options.bar_ends,
                 progress=show,
             )

@@ -607,6 +607,7 @@ def certify_session(
     start: int = 0,
     stop: int | None = None,
     seed: int = 0,
+    candidate: int | None = None,
     bar: tuple[str, str] | None = None,
     progress: CertifyProgress | None = None,
     on_result: Callable[[str, Trajectory], None] | None = None,
@@ -617,7 +618,8 @@ def certify_session(
 
     Args:
         session: session from `open_session`; each of several objects is certified.
-        start, stop, seed: as in `track_session`.
+        start, stop, seed, candidate: as in `track_session`. Parts of the cameras follow the selected body from boxes about
+            its first pose: they may see another one best.
         bar: names of two objects at the ends of a stiff bar, whose relative pose must be constant.
         progress: called after each tracked frame.
         on_result: called with each object's name and the result of all cameras.
@@ -630,7 +632,7 @@ def certify_session(
     offsets = find_offsets(session)
     session = apply_offsets(session, offsets)
     # The offsets are applied; those of the folder would be applied a second time.
-    options = RunOptions(offsets={}, start=start, stop=stop, seed=seed, overlay=False)
+    options = RunOptions(offsets={}, start=start, stop=stop, seed=seed, candidate=candidate, overlay=False)
     frames = len(range(start, min(session.n_frames, session.n_frames if stop is None else stop)))
     parts = sorted({part for split in choose_splits(session.rig.names) for part in split})
     runs = _Runs(progress or _ignore, len(session.objects) * (len(parts) + 2) * frames)
@@ -645,8 +647,12 @@ def certify_session(
         of_parts = dict[tuple[str, ...], Trajectory | str]()
         backwards: Trajectory | str = "the complete result has too few poses."
         if len(measured) > MIN_FRAMES:
-            of_parts = {part: runs.track_part(f"{label}{_join(part)}", selected, options, part) for part in parts}
-            backwards = runs.track_backwards(f"{label}backwards", selected, options, measured[-1], radius)
+            again = options
+            if candidate is not None:
+                again = replace(options, candidate=None, start=measured[0].index)
+                selected = selected.with_boxes({name: bound_sphere(session.rig, measured[0].position, radius)})
+            of_parts = {part: runs.track_part(f"{label}{_join(part)}", selected, again, part) for part in parts}
+            backwards = runs.track_backwards(f"{label}backwards", selected, again, measured[-1], radius)
         certificates.append(certify_results(name, complete[name], of_parts, backwards))
     of_bar = None if bar is None else measure_bar(bar, complete[bar[0]], complete[bar[1]])
     return SessionCertificate(tuple(certificates), of_bar, tuple(dict.fromkeys(runs.problems)))

@@ -85,6 +85,10 @@ class SessionBase:
         masks = {name: self._masks[name]} if name in self._masks else {}
         return replace(self, objects=(name,), _boxes=boxes, _masks=masks)
 
+    def with_boxes(self, boxes: Mapping[str, Mapping[str, Box]]) -> Self:
+        """Return the session with boxes of its objects in the frame at which it starts."""
+        return replace(self, _boxes={name: dict(by_camera) for name, by_camera in boxes.items()})
+
     def with_rig(self, rig: Rig) -> Self:
         """Return the session with a modified rig: another unit or world frame, or refined parameters.
 
@@ -527,10 +531,6 @@ class ReversedSession(Session):
         timeline = replace(old, frames=old.frames[::-1], times=times, stamps=stamps)
         values = {item.name: getattr(session, item.name) for item in fields(session)}
         return cls(**(values | {"timeline": timeline, "_boxes": {}, "forward": session}))
-
-    def with_boxes(self, boxes: Mapping[str, Mapping[str, Box]]) -> Self:
-        """Return the session with boxes of its objects in the frame at which it starts."""
-        return replace(self, _boxes={name: dict(by_camera) for name, by_camera in boxes.items()})
 
     def _read(
         self, indices: Sequence[int], every: int, on_problem: Callable[[str], None]
