@@ -73,6 +73,7 @@ NOT_CALLED = {
     "plot_trajectory": "draws, which takes a second: test_display.py",
     "to_dataframe": "needs pandas: io/exports/test_exports.py",
     "LiveSession.select_object": "the same",
+    "LiveSession.with_boxes": "the same",
     "LiveSession.with_rig": "the same",
     "LiveSession.with_world": "the same",
     "LiveSession.stop": "no arguments",

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
+from heapq import nlargest
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -41,7 +42,7 @@ from sylpose.relative_pose.rig_hypotheses import (
 from sylpose.rig import Rig, intersect_rays
 from sylpose.runs.candidates import ReadFrames, list_frames, read_windows
 from sylpose.runs.options import RunOptions
-from sylpose.tracking.bodies import GAPS, MAX_PIXELS, find_rigid_motion, reduce_frame_set
+from sylpose.tracking.bodies import GAPS, MAX_PIXELS, N_WINDOWS, find_rigid_motion, reduce_frame_set
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, match_frames
 from sylpose.tracking.context import LocalExecutor
@@ -270,6 +271,8 @@ def collect_motion(rig: Rig, windows: Iterable[Sequence[FrameSet]]) -> MotionEvi
             if best is not None and best.information > 0:
                 chosen.append(best)
                 gap = best.frames[1] - best.frames[0]
+    # Long recordings have more windows; all hypotheses are evaluated in each pair.
+    chosen = sorted(nlargest(N_WINDOWS, chosen, key=lambda own: own.information), key=lambda own: own.frames)
     return MotionEvidence(
         tuple(own.frames for own in chosen),
         tuple(own.pair for own in chosen),
