@@ -40,8 +40,8 @@ class Motion(Printable):
         residuals: (C,) rms epipolar residual of each camera's inliers, pixels; NaN without inliers.
         method: the estimator that was used.
         iterations: iterations of the solver.
-        faults: one sentence per camera identified as faulty: its calibration, its matches or its image. For
-            `estimate_pose` also one for model points of a different size.
+        faults: one sentence per camera identified as faulty: its calibration, its matches or its image. Or one on what all
+            of them may have wrong; for `estimate_pose` also one for model points of a different size.
         alternative: for AMBIGUOUS, the other motion that explains the matches, or as many of them, about as well; else
             None.
         second_body_ratio: number of matches of a second body with a different motion, divided by the number of this

@@ -100,7 +100,7 @@ _TEXTS: dict[_Described, str] = {
     Status.NO_MOTION: "The object did not move measurably: its matches are static in every camera.",
     Status.NOT_CERTIFIED: "The best solution found; its global optimality is not proved.",
     Status.NOT_CONVERGED: "The solver did not converge within its iteration limit.",
-    Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
+    Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches, or the cameras contradict it.",
     Status.AMBIGUOUS: "Two motions explain the matches about equally well, or about as many matches each; the data do "
     "not decide which is the object's.",
     Status.MIXED: "One motion nearly explains the matches, with residuals that are alike among neighbors: two bodies "

@@ -33,7 +33,7 @@ from sylpose.relative_pose.camera_evidence import (
     transfer_motion,
 )
 from sylpose.relative_pose.irls import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
-from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver
+from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver, make_failed_fit
 from sylpose.status import Status
 from sylpose.sylvester.camera_faults import find_faulty_cameras
 
@@ -48,13 +48,11 @@ class _Agreement(NamedTuple):
     Attributes:
         solution: of their matches alone.
         f_ratio: of these cameras; NaN if it is unknown.
-        least_f_ratio: without the worst of them, as far as three remain; NaN if it is unknown.
         worst: largest excess of one of them.
     """
 
     solution: Solution
     f_ratio: float
-    least_f_ratio: float
     worst: float
 
 
@@ -63,8 +61,8 @@ def solve_without_faulty_cameras(
 ) -> Solution:
     """Solve without the faulty cameras, each of which is named in `Fit.faults`.
 
-    Fewer than half of the cameras are removed, none of two. If those that are left contradict each other nevertheless, the
-    status is NOT_CONSISTENT: wrong pixels or a wrong rig, of which each camera makes a motion of its own.
+    Fewer than half of the cameras are removed, none of two. If none explains that they contradict each other, the status is
+    NOT_CONSISTENT: wrong pixels or a wrong rig, of which each camera makes a motion of its own.
 
     Args:
         data: the terms of the fit, one per camera, all in one reference frame.
@@ -77,12 +75,13 @@ def solve_without_faulty_cameras(
         return solution
     removed, agreement = _remove_cameras(data, solution, solve)
     fit = agreement.solution.fit
-    if agreement.least_f_ratio > MAX_F_RATIO:
+    is_contradicted = not removed and agreement.worst > MAX_CONSISTENT_EXCESS
+    if is_contradicted and (f_ratio := _compute_least_f_ratio(data, agreement.solution)) > MAX_F_RATIO:
         text = (
-            f"the cameras see different motions (F ratio {agreement.least_f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f}): "
-            "check the calibration, and that pixels are counted to the right and down from the upper left corner"
+            f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f}): check the "
+            "calibration, and that pixels are counted to the right and down from the upper left corner"
         )
-        return solution._replace(fit=replace(fit, status=Status.NOT_CONSISTENT, faults=(text,)))
+        return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
     rejected[removed] = True
@@ -97,6 +96,20 @@ def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
         term.focal * np.linalg.norm((term.y - term.x)[w > 0], axis=1) for term, w in zip(data, fit.weights, strict=True)
     ]
     return fit.static_ratio > 0.0 and not float(np.median(np.concatenate(moved))) > MAX_STATIC_PX
+
+
+def _compute_least_f_ratio(data: Sequence[TermData], solution: Solution) -> float:
+    """Compute the F ratio without the worst camera, as far as three remain; NaN if it is unknown.
+
+    Before a background only what has moved counts: one essential matrix may explain both.
+    """
+    fit, is_static = solution.fit, solution.fit.static_ratio > 0.0
+    moved = [
+        term.subset(term.focal * np.linalg.norm(term.y - term.x, axis=1) > MAX_STATIC_PX) if is_static else term
+        for term in data
+    ]
+    excess, _ = measure_excess(moved, solution.center, fit.rotation, fit.translation)
+    return float(compute_f_ratio(excess, MIN_KEPT_POOLED))
 
 
 def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> tuple[list[int], _Agreement]:
@@ -137,7 +150,7 @@ def _compare(data: Sequence[TermData], solution: Solution, kept: IntArray) -> _A
     motion = solution.center, solution.fit.rotation, solution.fit.translation
     excess, _ = measure_excess([data[c] for c in kept.tolist()], *motion)
     worst = float(np.nanmax(excess, initial=0.0, where=~np.isnan(excess)))
-    return _Agreement(solution, compute_f_ratio(excess, len(excess)), compute_f_ratio(excess, MIN_KEPT_POOLED), worst)
+    return _Agreement(solution, compute_f_ratio(excess, len(excess)), worst)
 
 
 def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: TermSolver) -> Solution | None:

@@ -322,7 +322,7 @@ class Fit:
         information: (6, 6) of (w, d).
         information_without_depth: (6, 6) the same without the prior on the depth models (distance and curvature).
         iterations: of the solver, all rounds.
-        faults: one sentence for each camera identified as faulty.
+        faults: one sentence for each camera identified as faulty, or on what all may have wrong.
         alternative: (R, d) of a distant alternative motion that explains the matches about as well; None without.
         is_mixed: whether neighboring residuals are correlated: two bodies fitted as one, or a wrongly calibrated
             camera. The motion then belongs to neither, and its covariance is meaningless.

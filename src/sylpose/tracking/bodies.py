@@ -279,13 +279,13 @@ def _count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> i
 def select_windows(n_frames: int) -> list[range]:
     """Select the frames of windows spread over a recording of so many frames.
 
-    Their number grows with the root of its length: a motion between windows is missed, but the search must not take as
-    long as tracking.
+    Their number grows with the root of its length, up to the square: a motion between windows is missed, but the search
+    must not take as long as tracking.
     """
     if not n_frames:
         return []
     last = max(n_frames - MIN_WINDOW_STEP, 0)
-    n_windows = min(max(N_WINDOWS, isqrt(n_frames // 2)), 1 + last // MIN_WINDOW_STEP)
+    n_windows = min(max(N_WINDOWS, isqrt(n_frames // 2)), N_WINDOWS**2, 1 + last // MIN_WINDOW_STEP)
     starts = np.unique(np.linspace(0, last, n_windows).round().astype(int)).tolist()
     return [range(start, min(start + WINDOW_FRAMES, n_frames)) for start in starts]
 
@@ -393,9 +393,10 @@ def reduce_frame_set(frames: FrameSet) -> FrameSet:
 
 
 def _detect(context: Context, number: int, images: FrameSet) -> Frame:
-    """Create a frame with the features of the whole images."""
-    frame = context.create_frame(number, images)
+    """Create a frame with the features of the whole images, without these: those of all windows are kept."""
     features = context.detect_everywhere(images, context.options.max_start_features, max_pixels=MAX_PIXELS)
+    nothing = (None,) * len(images.images)
+    frame = context.create_frame(number, replace(images, images=nothing, masks=nothing))
     return context.with_features(frame, features)
 
 

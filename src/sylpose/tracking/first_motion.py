@@ -545,8 +545,8 @@ def _report_box_motion(camera: Camera, points: FloatArray, pairs: Pairs, static_
 def _is_at_edges(context: Context, state: JointState, pairs: CameraPairs, motion: FirstMotion) -> bool:
     """Return whether a motion since the first frame is that of something at the edges of the boxes.
 
-    Its matches are at the centers less often than if they were spread evenly, and less often than those of what does not
-    follow it: the object, which moves slowly before a person.
+    Its matches are at the centers less often than if they were spread evenly, by three standard deviations, and less often
+    than those of what does not follow it: the object, which moves slowly before a person.
 
     Args:
         pairs: per camera, local: the matches.
@@ -556,8 +556,10 @@ def _is_at_edges(context: Context, state: JointState, pairs: CameraPairs, motion
     sides = zip(context.cameras, regions, pairs, motion.inliers, strict=True)
     own_counts = [_count_central(camera, region, first.number, own, inliers) for camera, region, own, inliers in sides]
     counts = np.array(context.executor.gather(own_counts, (0, 0, 0, 0))).sum(axis=0)
-    following, others = counts[:2], counts[2:]
-    return bool(following[1] < CENTER_RATIO**2 * following[0] and following[1] * others[0] < others[1] * following[0])
+    (n, n_central), (n_others, n_central_others) = counts[:2], counts[2:]
+    share = CENTER_RATIO**2
+    least = share * n - 3.0 * np.sqrt(share * (1.0 - share) * n)
+    return bool(n_central < least and n_central * n_others < n_central_others * n)
 
 
 def _count_central(
