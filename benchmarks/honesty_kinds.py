@@ -51,21 +51,21 @@ class Kind:
     """Distributions of the scenes of a kind: uniform, and log-uniform for rotations and translations.
 
     Attributes:
-        regular: an ordinary problem, whose result must be OK.
+        is_regular: an ordinary problem, whose result must be OK.
         bodies, cameras: names of bodies, and numbers of cameras.
         rig: "around": zigzag ring or dome; "any": two cameras 5 to 180 degrees apart, at any height; "opposite": 175 to
             185 degrees apart; "narrow": neighbors 2 to 15 degrees apart.
-        turn, shift: ranges of the rotation (degrees) and the translation (meters).
+        rotation_deg, translation_m: ranges of the motion.
         matches: range of the number of matches per camera, outliers included.
         has_unequal_counts: each camera keeps between 2 % and all of its matches.
-        noise: noise in units of `EXPECTED_PX`.
-        outliers, of: range of the outlier ratio, and the kind of outliers.
-        junk: all matches of one camera are outliers.
-        untold: the matches contain no evidence of the error; the kind is not counted.
-        turned, displaced: ranges of one camera's calibration error, degrees and meters.
+        noise_factor: noise in units of `EXPECTED_PX`.
+        outliers, outlier_kind: range of the outlier ratio, and the kind of outliers.
+        has_junk_camera: all matches of one camera are outliers.
+        is_undetectable: the matches contain no evidence of the error; the kind is not counted.
+        camera_rotation_deg, camera_translation_m: ranges of one camera's calibration error.
         copies: numbers of copies per match, of all matches or of a random part.
-        size: range of the scale error of the known points of pose problems.
-        lens: factor of focal lengths and distances.
+        model_scale: range of the scale error of the known points of pose problems.
+        focal_factor: factor of focal lengths and distances.
         axes: pixels are counted along these axes instead of to the right and down.
     """
 

@@ -267,15 +267,24 @@ def _compute_residuals(
 
 
 @leaf
-def _sampson(x: FloatArray, y: FloatArray, i: int, e: FloatArray) -> float:
-    """Return the Sampson distance of match i from the epipolar lines of E."""
+def _match_lines(
+    x: FloatArray, y: FloatArray, i: int, e: FloatArray
+) -> tuple[float, float, float, float, float, float]:
+    """Return y^T E x of match i, the directions (2) of its epipolar lines E x and E^T y, and their squared length."""
     x0, x1, y0, y1 = x[i, 0], x[i, 1], y[i, 0], y[i, 1]
     a0 = e[0, 0] * x0 + e[0, 1] * x1 + e[0, 2]
     a1 = e[1, 0] * x0 + e[1, 1] * x1 + e[1, 2]
     a2 = e[2, 0] * x0 + e[2, 1] * x1 + e[2, 2]
     b0 = e[0, 0] * y0 + e[1, 0] * y1 + e[2, 0]
     b1 = e[0, 1] * y0 + e[1, 1] * y1 + e[2, 1]
-    return float((y0 * a0 + y1 * a1 + a2) / np.sqrt(a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1 + 1e-300))
+    return y0 * a0 + y1 * a1 + a2, a0, a1, b0, b1, a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1 + 1e-300
+
+
+@leaf
+def _sampson(x: FloatArray, y: FloatArray, i: int, e: FloatArray) -> float:
+    """Return the Sampson distance of match i from the epipolar lines of E."""
+    value, _, _, _, _, square = _match_lines(x, y, i, e)
+    return float(value / np.sqrt(square))
 
 
 @kernel
@@ -291,14 +300,9 @@ def _linearize(
         if not weights[i] > 0.0:
             continue
         x0, x1, y0, y1 = x[i, 0], x[i, 1], y[i, 0], y[i, 1]
-        a0 = e[0, 0] * x0 + e[0, 1] * x1 + e[0, 2]
-        a1 = e[1, 0] * x0 + e[1, 1] * x1 + e[1, 2]
-        a2 = e[2, 0] * x0 + e[2, 1] * x1 + e[2, 2]
-        b0 = e[0, 0] * y0 + e[1, 0] * y1 + e[2, 0]
-        b1 = e[0, 1] * y0 + e[1, 1] * y1 + e[2, 1]
-        square = a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1 + 1e-300
+        value, a0, a1, b0, b1, square = _match_lines(x, y, i, e)
         scale = 1.0 / np.sqrt(square)
-        distances[i] = (y0 * a0 + y1 * a1 + a2) * scale
+        distances[i] = value * scale
         # E changes y^T E x, and the lengths of the lines.
         c, row = distances[i] / square, slopes[i]
         row[0], row[1] = y0 * x0 * scale - c * (a0 * x0 + b0 * y0), y0 * x1 * scale - c * (a0 * x1 + b1 * y0)

@@ -127,23 +127,23 @@ def find_bodies(context: Context, pairs: CameraPairs, first_number: int) -> list
         motion = estimate_first_motion(context, rest, first_number)
         if motion.n_inliers < MIN_MATCHES:
             break
-        if motion.is_rigid and not any(_is_same(context, motion, larger) for larger in bodies):
+        if motion.is_rigid and not any(_is_part_of(context, motion, larger) for larger in bodies):
             bodies.append(motion)
         rest = _remove_inliers(rest, motion)
     return sorted(bodies, key=lambda body: -body.n_inliers)
 
 
-def _is_same(context: Context, body: FirstMotion, larger: FirstMotion) -> bool:
-    """Return whether a larger body's motion explains most matches of a body as well as its own does.
+def _is_part_of(context: Context, body: FirstMotion, other: FirstMotion) -> bool:
+    """Return whether another body's motion explains most matches of a body as well as its own does.
 
-    A fit to a large rotation may leave some of a body's own matches.
+    A fit to a large rotation may leave some matches of the body that it is of.
     """
     counts = list[tuple[int, int]]()
     for c, own in zip(context.executor.local, body.inliers, strict=True):
         terms = [pair.to_term(c, context.rig.cameras[c]) for pair in own]
         distances = [
             [measure_distances(term, its.center, its.fit.rotation, its.fit.translation) for term in terms]
-            for its in (larger, body)
+            for its in (other, body)
         ]
         is_nearer = [np.asarray(a <= b) for a, b in zip(*distances, strict=True)]
         counts.append((sum(map(np.count_nonzero, is_nearer)), sum(map(len, own))))
@@ -259,7 +259,7 @@ def has_rival(context: Context, pairs: CameraPairs, first_number: int, motion: F
     """
     rest = _remove_inliers(pairs, motion)
     others, n = find_bodies(context, rest, first_number), len(context.rig)
-    others = [body for body in others if not _is_same(context, body, motion)]
+    others = [body for body in others if not _is_part_of(context, body, motion)]
     ratios = (_count_rival(context, motion, body) / motion.n_inliers for body in others)
     return any(is_rival(ratio, n, context.options) for ratio in ratios)
 
