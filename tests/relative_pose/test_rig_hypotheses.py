@@ -27,6 +27,7 @@ from sylpose.relative_pose.rig_hypotheses import (
 )
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, ellipsoid, random_motion, simulate_matches
+from sylpose.units import METERS
 
 Recording = tuple[Rig, list[FramePair]]
 FLIP_YZ, FLIP_Y = np.diag([1.0, -1.0, -1.0]), np.diag([1.0, -1.0, 1.0])
@@ -144,6 +145,21 @@ def test_two_cameras_leave_at_most_three_mistakes(mistake: Mistake) -> None:
 def test_the_faulty_camera_is_named(mistake: Mistake, cameras: int) -> None:
     found = [named(explain(ONE[mistake](record(cameras, seed)))) for seed in range(2)]
     check_named(found, Hypothesis(mistake, (1,)))
+
+
+@pytest.mark.parametrize("units", [("m", "mm"), ("in", "mm"), ("cm", "m")])
+@pytest.mark.parametrize("cameras", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_the_unit_of_one_camera_is_named(units: tuple[str, str], cameras: int) -> None:
+    rig, pairs = record(cameras)
+    first, second, *others = rig
+    pose, scale = second.camera_from_world, METERS[units[1]] / METERS[units[0]]
+    wrong = RigidTransform.from_components(scale * pose.translation, pose.rotation)
+    recording = Rig([first, replace(second, camera_from_world=wrong), *others]), pairs
+    found = named(explain(recording))
+    # Of two cameras, it is either the one or the other.
+    expected = [Hypothesis(Mistake.UNIT, (1,), units=units), Hypothesis(Mistake.UNIT, (0,), units=units[::-1])]
+    assert found
+    assert all(own in expected[: 2 if cameras == 2 else 1] for own in found)
 
 
 @pytest.mark.parametrize("order", [(1, 0, 2), (1, 2, 0), pytest.param((2, 3, 0, 1), marks=pytest.mark.slow)])

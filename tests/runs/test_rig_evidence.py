@@ -89,7 +89,10 @@ def test_the_suspect_reduces_the_f_ratio_most() -> None:
         return HypothesisFit(Hypothesis(Mistake.INCONSISTENT, (c,)), f_ratio, 9.0, 3)
 
     other = HypothesisFit(Hypothesis(Mistake.MIRRORED), 0.1, 9.0, 3)
-    assert find_suspect([other, leave_out(0, 8.0), leave_out(1, 2.5), leave_out(2, 2.9)]) == 1
+    assert find_suspect([other, leave_out(0, 8.0), leave_out(1, 2.5), leave_out(2, 7.6)]) == 1
+    # Any two of three cameras nearly agree: the healthy one of these two must not be named.
+    assert find_suspect([other, leave_out(0, 8.0), leave_out(1, 2.5), leave_out(2, 2.9)]) is None
+    assert find_suspect([leave_out(0, 0.0), leave_out(1, 0.2), leave_out(2, 0.0)]) is None
     assert find_suspect([other, leave_out(0, 8.0), leave_out(1, 3.1)]) is None
     assert find_suspect([other]) is None
 
@@ -146,6 +149,7 @@ def test_missing_images_are_frozen_only_while_others_have_some() -> None:
             Hypothesis(Mistake.LATE, (1,), -1),
             "cam_1 is early by 1 frame relative to the others: --frame-offset cam_1=1",
         ),
+        (Hypothesis(Mistake.UNIT, (1,), units=("cm", "m")), "multiply its translation by 0.01."),
         (Hypothesis(Mistake.INCONSISTENT, (2,)), "--exclude-camera cam_2"),
     ],
 )

@@ -22,13 +22,13 @@ from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import MAX_STATIC_PX
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.camera_evidence import (
-    EXPECTED_RATIO,
     MAX_F_RATIO,
     MIN_KEPT_POOLED,
     MIN_MATCHES,
     MIN_REDUCTION,
     N_OWN,
     compute_f_ratio,
+    explains_as_well,
     measure_excess,
     transfer_motion,
 )
@@ -129,7 +129,7 @@ def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSol
             break
         (faulty, agreement), *others = trials
         # Several cameras may be at fault: only the last one must be the only explanation.
-        is_clear = not others or others[0][1].f_ratio > max(MIN_REDUCTION * agreement.f_ratio, EXPECTED_RATIO)
+        is_clear = not others or not explains_as_well(others[0][1].f_ratio, agreement.f_ratio)
         kept.remove(faulty)
         removed.append(faulty)
     is_explained = agreement.worst <= MAX_CONSISTENT_EXCESS and MIN_REDUCTION * agreement.f_ratio < given.f_ratio

@@ -2,7 +2,8 @@
 
 If all cameras see one rigid motion, its joint estimate fits each camera's matches about as well as the camera's own
 motion does (`camera_evidence`). Where it does not, the comparison is repeated with each usual mistake undone: images
-mirrored or turned, poses inverted, axes of other programs, cameras exchanged or late, one camera left out. The mistake
+mirrored or turned, poses inverted, axes of other programs, one camera's position in another unit, cameras exchanged or
+late, one camera left out. The mistake
 that was made is the one without which the cameras agree. F ratios of several pairs of frames are pooled by their median.
 
 Some mistakes have the same epipolar geometry:
@@ -11,7 +12,7 @@ Some mistakes have the same epipolar geometry:
 - Mirrored images, and OpenGL axes: depths have opposite signs. The joint motion has a surface in front of the cameras
   (`terms`), hence only one of the two fits.
 - Rigs that a mistake maps to themselves: two cameras, and cameras in one plane with their axes, do not distinguish
-  mirrored images from turned ones. Motion does not reveal the length unit of any rig.
+  mirrored images from turned ones. Motion does not reveal the length unit of the whole rig, only that of one camera.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.camera_evidence import (
-    EXPECTED_RATIO,
     MAX_F_RATIO,
     MAX_POOLED_F_RATIO,
     MIN_BASELINE,
     MIN_MATCHES,
-    MIN_REDUCTION,
     compute_f_ratio,
+    explains_as_well,
     measure_excess,
     transfer_motion,
 )
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.terms import TermData, locate_object
 from sylpose.rig import Camera, Rig
+from sylpose.units import METERS
 
 # One camera's matches of moving features between two frames: pixels (n, 2) of both, as recorded.
 CameraMatches = tuple[FloatArray, FloatArray]
@@ -55,6 +56,9 @@ MAX_AGREEING = 2.0
 MIN_PAIRS, MIN_LATE_PAIRS = 2, 3
 # More hypotheses that fit alike name nothing (choice).
 MAX_NAMED = 3
+# Units that a calibration may mix up, larger and smaller one (choice: a displaced camera of three may agree in inches
+# instead of centimeters, and hardly anybody uses both).
+UNIT_PAIRS = ("m", "cm"), ("m", "mm"), ("cm", "mm"), ("m", "in"), ("in", "mm")
 # Axes of an OpenGL camera, y upwards and z backwards, in OpenCV's (derived).
 OPENCV_FROM_OPENGL = RigidTransform.from_rotation(Rotation.from_matrix(np.diag([1.0, -1.0, -1.0])))
 
@@ -72,6 +76,7 @@ class Mistake(StrEnum):
     OPENGL = "OpenGL axes"
     INVERTED_OPENGL = "poses inverted, OpenGL axes"
     EXCHANGED = "cameras exchanged"
+    UNIT = "another unit"
     LATE = "late"
     INCONSISTENT = "inconsistent"
 
@@ -85,11 +90,13 @@ class Hypothesis:
         cameras: indices of the affected cameras, () for all; for `Mistake.EXCHANGED` (C,), the camera whose images
             each camera has.
         lag: number of frames by which the camera's images are late; negative if they are early.
+        units: for `Mistake.UNIT`, the unit of the camera's position, and that of the others.
     """
 
     mistake: Mistake = Mistake.NONE
     cameras: tuple[int, ...] = ()
     lag: int = 0
+    units: tuple[str, str] = ("m", "m")
 
 
 @dataclass(frozen=True)
@@ -129,6 +136,8 @@ def list_hypotheses(rig: Rig) -> Iterator[Hypothesis]:
         yield from (Hypothesis(mistake, (c,)) for mistake in (Mistake.MIRRORED, Mistake.TURNED, *square))
         if len(rig) > 2:
             yield Hypothesis(Mistake.INCONSISTENT, (c,))
+        for a, b in UNIT_PAIRS:
+            yield from (Hypothesis(Mistake.UNIT, (c,), units=units) for units in ((a, b), (b, a)))
     for order in _list_orders(len(rig)):
         if all(rig.cameras[c].size == rig.cameras[source].size for c, source in enumerate(order)):
             yield Hypothesis(Mistake.EXCHANGED, order)
@@ -178,7 +187,7 @@ def select_explanations(fits: Sequence[HypothesisFit]) -> list[HypothesisFit]:
         those that fit about as well as the best one; none if these are too many to name.
     """
     agreeing = sorted((fit for fit in fits if fit.is_agreement), key=lambda fit: fit.f_ratio)
-    best = [fit for fit in agreeing if fit.f_ratio <= max(MIN_REDUCTION * agreeing[0].f_ratio, EXPECTED_RATIO)]
+    best = [fit for fit in agreeing if explains_as_well(fit.f_ratio, agreeing[0].f_ratio)]
     # A camera that agrees once its mistake is undone can be left out as well. Similar lags of a camera are one mistake.
     chosen = dict[tuple[Mistake, tuple[int, ...]], HypothesisFit]()
     for fit in best:
@@ -197,19 +206,22 @@ def _undo(rig: Rig, pair: FramePair, hypothesis: Hypothesis) -> list[tuple[Camer
     if mistake is Mistake.INCONSISTENT:
         return [view for c, view in enumerate(views) if c not in affected]
     return [
-        (_undo_pose(camera, mistake), _undo_image(camera, matches, mistake))
+        (_undo_pose(camera, hypothesis), _undo_image(camera, matches, mistake))
         if c in affected or not affected
         else (camera, matches)
         for c, (camera, matches) in enumerate(views)
     ]
 
 
-def _undo_pose(camera: Camera, mistake: Mistake) -> Camera:
-    pose = camera.camera_from_world
+def _undo_pose(camera: Camera, hypothesis: Hypothesis) -> Camera:
+    pose, mistake = camera.camera_from_world, hypothesis.mistake
     if mistake in (Mistake.INVERTED, Mistake.INVERTED_OPENGL):
         pose = pose.inv()
     if mistake in (Mistake.OPENGL, Mistake.INVERTED_OPENGL):
         pose = OPENCV_FROM_OPENGL * pose
+    if mistake is Mistake.UNIT:
+        own, others = (METERS[unit] for unit in hypothesis.units)
+        pose = RigidTransform.from_components(own / others * pose.translation, pose.rotation)
     return replace(camera, camera_from_world=pose)
 
 

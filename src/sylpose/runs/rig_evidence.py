@@ -26,6 +26,7 @@ from sylpose.relative_pose.camera_evidence import (
     MAX_POOLED_F_RATIO,
     MIN_MATCHES,
     MIN_REDUCTION,
+    explains_as_well,
     pool_f_ratios,
 )
 from sylpose.relative_pose.rig_hypotheses import (
@@ -47,6 +48,7 @@ from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, match_frames
 from sylpose.tracking.context import LocalExecutor
 from sylpose.tracking.options import TrackingOptions
+from sylpose.units import METERS
 
 # Median displacement of what moves between the frames of a pair, as a share of the image's diagonal (choice: 24 pixels of
 # 640x480; the rotation of a small one shows nothing of the rig).
@@ -190,12 +192,13 @@ def _evaluate_lags(
 
 
 def find_suspect(fits: Sequence[HypothesisFit]) -> int | None:
-    """Find the camera without which the F ratio is least, of the fits of all hypotheses, if it falls clearly."""
+    """Find the camera without which the F ratio is least, of the fits of all hypotheses, if no other one comes near."""
     left_out = [fit for fit in fits if fit.hypothesis.mistake is Mistake.INCONSISTENT]
-    best = min(left_out, key=lambda fit: fit.f_ratio, default=None)
+    best, *others = sorted(left_out, key=lambda fit: fit.f_ratio) or (None,)
     if best is None or not best.given_ratio > max(MIN_REDUCTION * best.f_ratio, MAX_POOLED_F_RATIO):
         return None
-    return best.hypothesis.cameras[0]
+    is_clear = not any(explains_as_well(fit.f_ratio, best.f_ratio) for fit in others[:1])
+    return best.hypothesis.cameras[0] if is_clear else None
 
 
 def find_frozen(evidence: MotionEvidence) -> dict[int, tuple[int, int]]:
@@ -447,6 +450,12 @@ def describe_mistake(session: Session, hypothesis: Hypothesis) -> str:
             )
         return f"{text}, or calibrate with images like these."
     (c,) = hypothesis.cameras
+    if mistake is Mistake.UNIT:
+        own, others = hypothesis.units
+        return (
+            f"the position of {names[c]} in {calibration} is in {own} and those of the others in {others}, or in units of "
+            f"the same ratio: multiply its translation by {METERS[own] / METERS[others]:.6g}."
+        )
     if mistake is Mistake.LATE:
         when, lag = ("late", hypothesis.lag) if hypothesis.lag > 0 else ("early", -hypothesis.lag)
         others = f"relative to {names[1 - c]}" if len(names) == 2 else "relative to the others"
