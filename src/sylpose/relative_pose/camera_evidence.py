@@ -115,12 +115,12 @@ def compute_f_ratio(excess: FloatArray, min_kept: int = 2, n_own: int = N_OWN) -
     return float(ordered[:n].sum() / constraints) if constraints > 0 else np.nan
 
 
-@kernel
 def explains_as_well(f_ratio: float, best: float) -> bool:
     """Return whether an explanation of a contradiction with this F ratio is about as good as the best one."""
     return f_ratio <= max(MIN_REDUCTION * best, EXPECTED_RATIO)
 
 
+@kernel
 def pool_f_ratios(ratios: FloatArray) -> float:
     """Return the median of F ratios, of two in the middle the smaller one; NaN if none is known.
 
