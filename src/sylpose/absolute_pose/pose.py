@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from math import lgamma
+from statistics import median
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +42,8 @@ MIN_SIZE_RATIO = 1.2
 # Odds from which the better of two similar poses is accepted (measured: of flat models of 4 to 20 points with one
 # camera and status OK, 1 in 250 is the mirror image; with odds of 3, 1 in 20) (choice).
 CLEAR_ODDS = 20.0
+# Name of the estimator in its results.
+METHOD = "pose"
 _STATUS = {
     Status.OK: FrameStatus.LOCALIZED,
     Status.SCALE_NOT_OBSERVABLE: FrameStatus.LOCALIZED,
@@ -121,6 +125,8 @@ def estimate_pose(
     unique = [find_distinct_rows(x, u) for x, u in zip(*used, strict=True)]
     parts = [[v if s is None else v[s.rows] for v, s in zip(vs, unique, strict=True)] for vs in used]
     result = _estimate(rig, parts[0], parts[1], max_error_px, units, seed)
+    if all(s is None for s in unique) and is_used.all():
+        return result
     masks = [m if s is None else m[s.inverse] for m, s in zip(result.inliers, unique, strict=True)]
     inliers = (m if use else np.zeros(len(x), bool) for m, x, use in zip(masks, models, is_used, strict=True))
     return replace(result, inliers=tuple(inliers))
@@ -186,17 +192,27 @@ def _estimate(
     matrix = np.eye(4)
     matrix[:3, :3] = best.model.rotation
     matrix[:3, 3] = origin + best.model.translation - best.model.rotation @ center
-    return replace(
-        _make_empty_result(rig, counts, status, center),
+    return Motion(
+        status=status,
         motion=RigidTransform(matrix, normalize=False) if status.has_pose else None,
+        center=center,
         information=pose_information,
         covariance=invert_information(pose_information),
         unobservable=unobservable,
-        inliers=tuple(np.split(is_inlier, np.cumsum(counts)[:-1])),
+        inliers=_split(is_inlier, counts),
         residuals=residuals / np.where(units.per_px > 0.0, units.per_px, 1.0),
+        method=METHOD,
         iterations=best.iterations,
         faults=faults,
+        camera_names=rig.names,
+        unit=rig.unit,
     )
+
+
+def _split(values: BoolArray, counts: IntArray) -> tuple[BoolArray, ...]:
+    """Split an array of all matches into one per camera."""
+    ends = np.cumsum(counts).tolist()
+    return tuple(values[begin:end] for begin, end in pairwise([0, *ends]))
 
 
 def _has_enough_matches(model: FloatArray, camera: IntArray) -> bool:
@@ -223,7 +239,7 @@ def _information_scale(pose: Pose, known_noise: float) -> float:
         known_noise: known noise, pixels, or 0.
     """
     prior_sigma, freedom = _noise_prior(known_noise)
-    measured = float(np.median(pose.noise.variances))
+    measured = median(pose.noise.variances.tolist())
     total_freedom = pose.freedom + (freedom if known_noise > 0.0 else 0.0)
     variance_ratio = measured * (pose.freedom + freedom) / (pose.freedom * measured + freedom * prior_sigma**2)
     return max(total_freedom - 2.0, 0.5) / total_freedom * min(variance_ratio, 1.0)
@@ -245,9 +261,10 @@ def _find_unobservable(
     well.
     """
     best = poses[0]
-    if len(directions := find_unobservable_directions(pose_information, limits)):
+    directions = find_unobservable_directions(pose_information, limits)
+    if len(directions) or len(poses) == 1:
         return directions
-    (noise, freedom), max_square = _noise_prior(known_noise), kernels.CUTOFF**2 * float(np.median(best.noise.variances))
+    (noise, freedom), max_square = _noise_prior(known_noise), kernels.CUTOFF**2 * median(best.noise.variances.tolist())
     workspace = kernels.make_workspace()
     losses = np.array([kernels.compute_score(views, pose.model, max_square, np.inf, workspace) for pose in poses])
     squares = BIQUARTIC_BOUND * max_square * losses + freedom * noise**2
@@ -261,7 +278,7 @@ def _find_unobservable(
 
 
 def _make_empty_result(rig: Rig, counts: IntArray, status: Status, center: FloatArray) -> Motion:
-    """Make a public result without pose, inliers and information; a fit replaces them."""
+    """Make a public result without pose, inliers and information."""
     nothing = np.zeros((6, 6))
     return Motion(
         status=status,
@@ -272,7 +289,7 @@ def _make_empty_result(rig: Rig, counts: IntArray, status: Status, center: Float
         unobservable=np.empty((0, 6)),
         inliers=tuple(np.zeros(n, bool) for n in counts),
         residuals=np.full(len(counts), np.nan),
-        method="pose",
+        method=METHOD,
         iterations=0,
         camera_names=rig.names,
         unit=rig.unit,
@@ -287,9 +304,11 @@ def _make_views(
     The origin is the cameras' centroid, so that distant positions lose no digits. Pixels are in units that are per_px
     (C,) of a pixel; the noise is at least `min_sigma` of them.
     """
-    poses = np.array([camera.camera_from_world.as_matrix() for camera in cameras])
-    rotations, translations = np.ascontiguousarray(poses[:, :3, :3]), poses[:, :3, 3]
-    origin = -np.einsum("cij,ci->j", rotations, translations) / len(cameras)
+    rotations, centers = (
+        np.array([camera.rotation for camera in cameras]),
+        np.array([camera.center for camera in cameras]),
+    )
+    origin = centers.mean(axis=0)
     start = np.concatenate([[0], np.cumsum([len(u) for u in pixels])])
     images, to_pixels = np.empty((len(model), 2)), np.empty((len(model), 4))
     for c, (camera, u) in enumerate(zip(cameras, pixels, strict=True)):
@@ -297,9 +316,10 @@ def _make_views(
         images[camera_slice], jacobian = _undistort(camera, u)
         to_pixels[camera_slice] = per_px[c] * jacobian
     # Pixels that the lens cannot produce are put far outside of every image.
-    is_invalid = ~(np.isfinite(images).all(axis=1) & np.isfinite(to_pixels).all(axis=1))
-    images[is_invalid], to_pixels[is_invalid] = 1e9, (1.0, 0.0, 0.0, 1.0)
-    translations = translations + rotations @ origin
+    if not (np.isfinite(images).all() and np.isfinite(to_pixels).all()):
+        is_invalid = ~(np.isfinite(images).all(axis=1) & np.isfinite(to_pixels).all(axis=1))
+        images[is_invalid], to_pixels[is_invalid] = 1e9, (1.0, 0.0, 0.0, 1.0)
+    translations = np.einsum("cij,cj->ci", rotations, origin - centers)
     return origin, Views(model, images, to_pixels, start, rotations, translations, min_sigma * min_sigma)
 
 
@@ -407,9 +427,9 @@ def search_poses(views: Views, max_square: float, thin_axis: FloatArray, rng: np
     mirrored = _mirror_pose(starts[0], thin_axis)
     kernels.minimize(subset, mirrored, kernels.make_noise(views, max_square), 10, 1e-3)
     poses: list[Pose] = []
-    workspace, max_score = kernels.make_workspace(), MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS
-    for start in [*starts, mirrored]:
-        score = kernels.compute_score(subset, start, max_square, np.inf, workspace)
+    max_score = MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS
+    mirrored_score = kernels.compute_score(subset, mirrored, max_square, np.inf, kernels.make_workspace())
+    for start, score in zip([*starts, mirrored], [*scores[: len(starts)], mirrored_score], strict=True):
         if score > max_score or _is_known(poses, start):
             continue
         pose = _fit_pose(subset, start, max_square)
@@ -480,12 +500,13 @@ def _mirror_pose(pose: ModelPose, thin_axis: FloatArray) -> ModelPose:
     orthographic image.
     """
     viewing_ray = pose.translation / max(float(np.linalg.norm(pose.translation)), 1e-300)
-    half_turns = [2.0 * np.outer(axis, axis) - np.eye(3) for axis in (viewing_ray, thin_axis)]
-    return ModelPose(half_turns[0] @ pose.rotation @ half_turns[1], pose.translation.copy())
+    turned = 2.0 * np.outer(viewing_ray, viewing_ray @ pose.rotation) - pose.rotation
+    return ModelPose(2.0 * np.outer(turned @ thin_axis, thin_axis) - turned, pose.translation.copy())
 
 
 def _is_known(poses: Sequence[Pose], other: ModelPose) -> bool:
-    return any(np.linalg.norm(other.rotation - p.model.rotation) < np.sqrt(2.0) * SAME_ROTATION for p in poses)
+    # The squared distance of two rotation matrices is 6 - 2 trace(A B^T), about twice the squared angle.
+    return any(3.0 - np.vdot(other.rotation, p.model.rotation) < SAME_ROTATION**2 for p in poses)
 
 
 def _fit_pose(views: Views, start: ModelPose, max_square: float) -> Pose | None:

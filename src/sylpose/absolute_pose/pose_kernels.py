@@ -204,8 +204,8 @@ def compute_score(views: Views, pose: ModelPose, max_square: float, bound: float
             depth, _, _, r0, r1 = _project_match(views, k, workspace)
             ratio = (r0 * r0 + r1 * r1) / max_square if depth > 0.0 else 2.0
             total += biquartic_loss(ratio) / BIQUARTIC_BOUND
-        if total > bound:
-            return total
+            if total > bound:
+                return total
     return total
 
 
