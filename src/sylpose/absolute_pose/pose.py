@@ -239,7 +239,7 @@ def _information_scale(pose: Pose, known_noise: float) -> float:
         known_noise: known noise, pixels, or 0.
     """
     prior_sigma, freedom = _noise_prior(known_noise)
-    measured = median(pose.noise.variances.tolist())
+    measured = float(median(pose.noise.variances.tolist()))
     total_freedom = pose.freedom + (freedom if known_noise > 0.0 else 0.0)
     variance_ratio = measured * (pose.freedom + freedom) / (pose.freedom * measured + freedom * prior_sigma**2)
     return max(total_freedom - 2.0, 0.5) / total_freedom * min(variance_ratio, 1.0)
@@ -264,7 +264,10 @@ def _find_unobservable(
     directions = find_unobservable_directions(pose_information, limits)
     if len(directions) or len(poses) == 1:
         return directions
-    (noise, freedom), max_square = _noise_prior(known_noise), kernels.CUTOFF**2 * median(best.noise.variances.tolist())
+    (noise, freedom), max_square = (
+        _noise_prior(known_noise),
+        kernels.CUTOFF**2 * float(median(best.noise.variances.tolist())),
+    )
     workspace = kernels.make_workspace()
     losses = np.array([kernels.compute_score(views, pose.model, max_square, np.inf, workspace) for pose in poses])
     squares = BIQUARTIC_BOUND * max_square * losses + freedom * noise**2

@@ -213,9 +213,9 @@ def compare_cameras(
         gaps = [gap for gap in GAPS if gap < len(frames)]
         if not gaps:
             return np.nan
-        first, ratios = _detect(context, 0, frames[0]), list[float]()
+        first, ratios = _detect(context, 0, frames[0], faint=False), list[float]()
         for gap in gaps:
-            last = _detect(context, gap, frames[gap])
+            last = _detect(context, gap, frames[gap], faint=False)
             pairs = _match(context, first, last)
             if boxes:
                 local = [rig.cameras[c] for c in context.executor.local]
@@ -298,7 +298,9 @@ def _collect_indices(pairs: Sequence[FrameMatches], side: int) -> IntArray:
 def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tuple[Window, int]:
     """Find the bodies of a window over the time that shows most of a second one, else the longest with enough matches.
 
-    Over a short time two bodies differ too little to be separated, over a long one their features change.
+    Over a short time two bodies differ too little to be separated, over a long one their features change. Faint features
+    are included: of a plain object that a person holds there may be no others, and the person would be tracked. They are
+    no evidence on the cameras.
 
     Args:
         gap: number of frames to begin with.
@@ -306,14 +308,15 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     Returns:
         the window; the number of frames for the next one.
     """
-    first, best, best_gap, max_matches, max_others = _detect(context, 0, frames[0]), list[WindowBody](), gap, 0, 0
+    first, best = _detect(context, 0, frames[0], faint=True), list[WindowBody]()
+    best_gap, max_matches, max_others = gap, 0, 0
     best_pairs: CameraPairs = ()
     gap = min(gap, max(len(frames) - 1, GAPS[0]))
     gaps = [*(g for g in GAPS if g >= gap), *(g for g in GAPS[::-1] if g < gap)]
     for g in (g for g in gaps if g < len(frames)):
         if g < gap and best:
             break
-        last = _detect(context, g, frames[g])
+        last = _detect(context, g, frames[g], faint=True)
         pairs = _match(context, first, last)
         motions = find_bodies(context, pairs, 0)
         n = sum(motion.n_inliers for motion in motions)
@@ -334,6 +337,10 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
     for body in best[1:]:
         best_pairs = _remove_inliers(best_pairs, body.motion)
+    best_pairs = [
+        omit_empty(pair.subset(~camera.features.faint[pair.indices[:, 0]]) for pair in own)
+        for camera, own in zip(first.cameras, best_pairs, strict=True)
+    ]
     window = Window(first, best, _compute_f_ratio(context, first, best[0].last, best_pairs) if best else np.nan)
     return window, max(best_gap // 2, GAPS[0]) if is_far else best_gap
 
@@ -392,9 +399,9 @@ def reduce_frame_set(frames: FrameSet) -> FrameSet:
     return replace(frames, images=tuple(images))
 
 
-def _detect(context: Context, number: int, images: FrameSet) -> Frame:
+def _detect(context: Context, number: int, images: FrameSet, *, faint: bool) -> Frame:
     """Create a frame with the features of the whole images, without these: those of all windows are kept."""
-    features = context.detect_everywhere(images, context.options.max_start_features, max_pixels=MAX_PIXELS)
+    features = context.detect_everywhere(images, context.options.max_start_features, faint=faint, max_pixels=MAX_PIXELS)
     nothing = (None,) * len(images.images)
     frame = context.create_frame(number, replace(images, images=nothing, masks=nothing))
     return context.with_features(frame, features)
