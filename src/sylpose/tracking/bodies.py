@@ -337,16 +337,12 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
     for body in best[1:]:
         best_pairs = _remove_inliers(best_pairs, body.motion)
-    best_pairs = [
-        omit_empty(pair.subset(~camera.features.faint[pair.indices[:, 0]]) for pair in own)
-        for camera, own in zip(first.cameras, best_pairs, strict=True)
-    ]
     window = Window(first, best, _compute_f_ratio(context, first, best[0].last, best_pairs) if best else np.nan)
     return window, max(best_gap // 2, GAPS[0]) if is_far else best_gap
 
 
 def _compute_f_ratio(context: Context, first: Frame, last: Frame, pairs: CameraPairs) -> float:
-    """Return the F ratio of the moving matches between two frames; NaN without evidence.
+    """Return the F ratio of the moving matches of normal contrast between two frames; NaN without evidence.
 
     A camera with time offsets sees the motion between other times. It is evidence if the object moves by no more within
     them than what a camera may tremble: it may accelerate.
@@ -354,8 +350,9 @@ def _compute_f_ratio(context: Context, first: Frame, last: Frame, pairs: CameraP
     offsets = np.maximum(*(np.abs(frame.time_offsets - np.median(frame.time_offsets)) for frame in (first, last)))
     shares = offsets / max(last.time - first.time, 1e-9)
     matches = list[CameraMatches]()
-    for c, own in zip(context.executor.local, pairs, strict=True):
-        x, y = _select_rigid(context.rig.cameras[c], own, context.options)
+    for c, its, own in zip(context.executor.local, first.cameras, pairs, strict=True):
+        clear = [pair.subset(~its.features.faint[pair.indices[:, 0]]) for pair in own]
+        x, y = _select_rigid(context.rig.cameras[c], clear, context.options)
         limit = TREMBLE_SD * context.rig.cameras[c].focal
         is_evidence = len(x) and shares[c] * float(np.median(np.linalg.norm(y - x, axis=1))) <= limit
         matches.append((x, y) if is_evidence else (x[:0], y[:0]))
