@@ -184,6 +184,16 @@ def test_body_at_the_same_place_is_a_rival() -> None:
     assert largest.rival_ratio > TrackingOptions().max_rival_ratio
 
 
+def test_faint_body_is_a_rival() -> None:
+    """Of a plain object that a person holds, features of normal contrast show nothing."""
+    slab = make_slab([0.4, 0.3, 0.1], 5)
+    textures = [(128 + 0.1 * (texture.astype(float) - 128)).astype(np.uint8) for texture in slab.textures]
+    faint = Actor(replace(slab, textures=tuple(textures)), swing)
+    clip = Clip.render(moving_scene(make_drifting_pose, N_FRAMES, [faint], n_cameras=3))
+    largest, *_ = find_candidates(clip.rig, windows_of(list(clip.frames())))
+    assert largest.is_ambiguous(TrackingOptions())
+
+
 def test_bodies_that_move_one_after_the_other_are_two() -> None:
     """They never move in the same window, and each rests in sight while the other moves."""
     clip = render_successive(30, frames=48)
