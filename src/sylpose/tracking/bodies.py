@@ -182,11 +182,30 @@ def find_candidates(
         by decreasing number of matches; empty if nothing moves as a rigid body.
     """
     with _open_context(rig, time_offsets, seed, workers, options) as context:
-        found, gap = list[Window](), GAPS[0]
+        found, with_faint, gap = list[Window](), list[Window](), GAPS[0]
         for frames in filter(len, windows):
             window, gap = _search_window(context, frames, gap)
             found.append(window)
-        return _make_candidates(context, found)
+            with_faint.append(_search_faint(context, window, frames))
+        candidates = _make_candidates(context, found)
+        if candidates and not candidates[0].is_ambiguous(context.options):
+            others = _make_candidates(context, with_faint)
+            return others if others and others[0].is_ambiguous(context.options) else candidates
+        return candidates
+
+
+def _search_faint(context: Context, window: Window, frames: Sequence[FrameSet]) -> Window:
+    """Find the bodies of a window once more, with faint features as well.
+
+    Of a plain object that a person holds there may be no others, and the person would be tracked. They are no evidence on
+    the cameras, and worse ones to start with.
+    """
+    if not window.bodies:
+        return window
+    number = window.bodies[0].last.number
+    first, last = (_detect(context, k, frames[k], faint=True) for k in (0, number))
+    bodies = [WindowBody(last, motion) for motion in find_bodies(context, _match(context, first, last), 0)]
+    return Window(first, bodies, window.f_ratio)
 
 
 def compare_cameras(
@@ -298,9 +317,7 @@ def _collect_indices(pairs: Sequence[FrameMatches], side: int) -> IntArray:
 def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tuple[Window, int]:
     """Find the bodies of a window over the time that shows most of a second one, else the longest with enough matches.
 
-    Over a short time two bodies differ too little to be separated, over a long one their features change. Faint features
-    are included: of a plain object that a person holds there may be no others, and the person would be tracked. They are
-    no evidence on the cameras.
+    Over a short time two bodies differ too little to be separated, over a long one their features change.
 
     Args:
         gap: number of frames to begin with.
@@ -308,7 +325,7 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     Returns:
         the window; the number of frames for the next one.
     """
-    first, best = _detect(context, 0, frames[0], faint=True), list[WindowBody]()
+    first, best = _detect(context, 0, frames[0], faint=False), list[WindowBody]()
     best_gap, max_matches, max_others = gap, 0, 0
     best_pairs: CameraPairs = ()
     gap = min(gap, max(len(frames) - 1, GAPS[0]))
@@ -316,7 +333,7 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     for g in (g for g in gaps if g < len(frames)):
         if g < gap and best:
             break
-        last = _detect(context, g, frames[g], faint=True)
+        last = _detect(context, g, frames[g], faint=False)
         pairs = _match(context, first, last)
         motions = find_bodies(context, pairs, 0)
         n = sum(motion.n_inliers for motion in motions)
@@ -342,7 +359,7 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
 
 
 def _compute_f_ratio(context: Context, first: Frame, last: Frame, pairs: CameraPairs) -> float:
-    """Return the F ratio of the moving matches of normal contrast between two frames; NaN without evidence.
+    """Return the F ratio of the moving matches between two frames; NaN without evidence.
 
     A camera with time offsets sees the motion between other times. It is evidence if the object moves by no more within
     them than what a camera may tremble: it may accelerate.
@@ -350,9 +367,8 @@ def _compute_f_ratio(context: Context, first: Frame, last: Frame, pairs: CameraP
     offsets = np.maximum(*(np.abs(frame.time_offsets - np.median(frame.time_offsets)) for frame in (first, last)))
     shares = offsets / max(last.time - first.time, 1e-9)
     matches = list[CameraMatches]()
-    for c, its, own in zip(context.executor.local, first.cameras, pairs, strict=True):
-        clear = [pair.subset(~its.features.faint[pair.indices[:, 0]]) for pair in own]
-        x, y = _select_rigid(context.rig.cameras[c], clear, context.options)
+    for c, own in zip(context.executor.local, pairs, strict=True):
+        x, y = _select_rigid(context.rig.cameras[c], own, context.options)
         limit = TREMBLE_SD * context.rig.cameras[c].focal
         is_evidence = len(x) and shares[c] * float(np.median(np.linalg.norm(y - x, axis=1))) <= limit
         matches.append((x, y) if is_evidence else (x[:0], y[:0]))
