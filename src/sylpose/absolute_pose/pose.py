@@ -264,10 +264,8 @@ def _find_unobservable(
     directions = find_unobservable_directions(pose_information, limits)
     if len(directions) or len(poses) == 1:
         return directions
-    (noise, freedom), max_square = (
-        _noise_prior(known_noise),
-        kernels.CUTOFF**2 * float(median(best.noise.variances.tolist())),
-    )
+    noise, freedom = _noise_prior(known_noise)
+    max_square = kernels.CUTOFF**2 * float(median(best.noise.variances.tolist()))
     workspace = kernels.make_workspace()
     losses = np.array([kernels.compute_score(views, pose.model, max_square, np.inf, workspace) for pose in poses])
     squares = BIQUARTIC_BOUND * max_square * losses + freedom * noise**2
@@ -307,10 +305,8 @@ def _make_views(
     The origin is the cameras' centroid, so that distant positions lose no digits. Pixels are in units that are per_px
     (C,) of a pixel; the noise is at least `min_sigma` of them.
     """
-    rotations, centers = (
-        np.array([camera.rotation for camera in cameras]),
-        np.array([camera.center for camera in cameras]),
-    )
+    rotations = np.array([camera.rotation for camera in cameras])
+    centers = np.array([camera.center for camera in cameras])
     origin = centers.mean(axis=0)
     start = np.concatenate([[0], np.cumsum([len(u) for u in pixels])])
     images, to_pixels = np.empty((len(model), 2)), np.empty((len(model), 4))

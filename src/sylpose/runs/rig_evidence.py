@@ -197,7 +197,7 @@ def find_suspect(fits: Sequence[HypothesisFit]) -> int | None:
     best, *others = sorted(left_out, key=lambda fit: fit.f_ratio) or (None,)
     if best is None or not best.given_ratio > max(MIN_REDUCTION * best.f_ratio, MAX_POOLED_F_RATIO):
         return None
-    is_clear = not any(explains_as_well(fit.f_ratio, best.f_ratio) for fit in others[:1])
+    is_clear = not others or not explains_as_well(others[0].f_ratio, best.f_ratio)
     return best.hypothesis.cameras[0] if is_clear else None
 
 

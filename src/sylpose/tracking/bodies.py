@@ -195,15 +195,15 @@ def find_candidates(
 
 
 def _search_faint(context: Context, window: Window, frames: Sequence[FrameSet]) -> Window:
-    """Find the bodies of a window once more, with faint features as well.
+    """Search a window in which one body is found once more, with faint features as well.
 
-    Of a plain object that a person holds there may be no others, and the person would be tracked. They are no evidence on
-    the cameras, and worse ones to start with.
+    Of a plain object that a person holds there may be no others, and the person would be tracked. Faint features are no
+    evidence on the cameras, and tracking does not start with them.
     """
-    if not window.bodies:
+    if len(window.bodies) != 1:
         return window
-    number = window.bodies[0].last.number
-    first, last = (_detect(context, k, frames[k], faint=True) for k in (0, number))
+    (body,) = window.bodies
+    first, last = (_detect(context, k, frames[k], faint=True) for k in (0, body.last.number))
     bodies = [WindowBody(last, motion) for motion in find_bodies(context, _match(context, first, last), 0)]
     return Window(first, bodies, window.f_ratio)
 
