@@ -89,7 +89,8 @@ def test_nodes_reproduce_single_process_poses(
     assert sum(f.pose.is_measured for f in expected) >= FRAMES - 2
     outcome = track_by_nodes(frames, clip.rig, boxes, network_faults=network_faults, method=method)
     assert outcome.members == [(0, 1, 2)] * 3
-    assert_same(outcome.frames[0], expected, 1e-10)
+    # Rounding depends on the processor: 2e-10 on some.
+    assert_same(outcome.frames[0], expected, 1e-9)
     assert_agreed(outcome, range(3))
     assert outcome.refused == [{}] * 3
     for c, found in enumerate(outcome.frames):
