@@ -197,3 +197,23 @@ def test_unknown_side_is_rejected() -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     assert statuses(tracked[1:6]) == [FrameStatus.TRACKED] * 5
     assert set(statuses(tracked[6:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.BACKGROUND_ONLY}
+
+
+@pytest.mark.parametrize(("is_alike", "angle_deg"), [(True, 0), (True, 180), (False, 0)])
+def test_side_that_looks_alike_is_rejected(is_alike: bool, angle_deg: float) -> None:
+    """A cube turns by 90 degrees, is gone, and comes back: if its faces are equal, any of them may be in front."""
+    body = make_slab((0.25, 0.25, 0.25), 30)
+    if is_alike:
+        body = replace(body, textures=(body.textures[0],) * len(body.textures))
+
+    def path(frame: float) -> RigidTransform:
+        if 7 <= frame < 10:
+            return NOWHERE
+        turn = np.radians(15 * frame if frame < 7 else angle_deg)
+        return RigidTransform.from_rotation(Rotation.from_rotvec([0, turn, 0]))
+
+    clip = Clip.render(replace(moving_scene(path, 12, n_cameras=3), actors=(Actor(body, path),)))
+    found = statuses(list(track(clip.frames(), clip.rig, clip.boxes)))
+    assert found[1:7] == [FrameStatus.TRACKED] * 6
+    assert (FrameStatus.RELOCALIZED in found) != is_alike
+    assert (found[-1] is FrameStatus.TRACKED) != is_alike

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from benchmarks.kinds import KINDS
 from sylpose.features.sift import Features, detect_features
@@ -23,7 +24,7 @@ from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_b
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion
 from sylpose.tracking.options import TrackingOptions
-from sylpose.tracking.pose_search import PoseCandidate, find_pose
+from sylpose.tracking.pose_search import PoseCandidate, SearchResult, find_pose
 from sylpose.tracking.tracker import track
 from tests.clips import Clip, compute_pose_errors, make_rotated_pose, moving_scene, statuses
 
@@ -123,6 +124,21 @@ def test_slow_object_with_weak_pose_is_searched_again(monkeypatch: pytest.Monkey
     assert slips
     assert statuses(tracked)[-1] is FrameStatus.TRACKED
     assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < 1.0
+
+
+def test_noisy_pose_of_slow_object_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With residuals far above those before, as of a room after the object has left."""
+    clip, usual = make_jumping_clip(4.0), find_pose
+
+    def blur(context: Context, state: JointState, frame: Frame, guess: RigidTransform) -> SearchResult:
+        state, found = usual(context, state, frame, guess)
+        if found is None or frame.number != FRAMES - 1:
+            return state, found
+        return state, replace(found, agreements=tuple(replace(a, noise_px=20.0) for a in found.agreements))
+
+    monkeypatch.setattr(state_machine, "find_pose", blur)
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    assert statuses(tracked)[1:] == [*[FrameStatus.TRACKED] * (FRAMES - 2), FrameStatus.COASTING]
 
 
 def test_no_pose_of_absent_object(low_contrast_clip: Clip) -> None:

@@ -346,6 +346,13 @@ def compute_noise_weights(context: Context, state: JointState, candidate: PoseCa
     return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
 
 
+def is_noisy(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
+    """Return whether most inlier features of a pose are of cameras in which these scatter too much."""
+    features = np.array([a.n_inlier_features for a in candidate.agreements])
+    is_good = compute_noise_weights(context, state, candidate) > MIN_GOOD_WEIGHT
+    return bool(2 * features[is_good].sum() < features.sum())
+
+
 def is_weakly_supported(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
     """Return whether a pose has too little support or too much noise to be certain.
 

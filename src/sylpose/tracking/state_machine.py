@@ -30,10 +30,11 @@ from sylpose.tracking.pose_search import (
     find_pose_with_all_features,
     is_fast,
     is_near_start,
+    is_noisy,
     is_weakly_supported,
     track_from_anchor,
 )
-from sylpose.tracking.relocalization import search_lost_object
+from sylpose.tracking.relocalization import is_side_ambiguous, search_lost_object
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.window import apply_refinement
 
@@ -85,7 +86,9 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
         if is_costly and context.has_time_for("all features"):
             with context.measure_search("all features", 1.0):
                 state, fallback = find_pose_with_all_features(context, state, frame, predicted_pose)
-        if fallback is not None or not _is_plausible(state, candidate, predicted_pose):
+        if fallback is not None and is_side_ambiguous(context, state, fallback, predicted_pose):
+            fallback = None
+        if fallback is not None or not _is_plausible(context, state, candidate, predicted_pose):
             candidate = fallback
     if candidate is None:
         return handle_missing_object(context, state, frame, predicted_pose)
@@ -95,9 +98,14 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
     return state, tracked
 
 
-def _is_plausible(state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform) -> bool:
-    """Return whether a weakly supported pose is plausible nevertheless: that of a slow object near its predicted pose."""
-    if candidate is None or not has_known_references(state, candidate):
+def _is_plausible(
+    context: Context, state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform
+) -> bool:
+    """Return whether a weakly supported pose is plausible nevertheless.
+
+    It is that of a slow object near its predicted pose, with few features, but not because of their noise.
+    """
+    if candidate is None or not has_known_references(state, candidate) or is_noisy(context, state, candidate):
         return False
     return not is_fast(state, predicted_pose) and is_near_start(state, candidate, predicted_pose)
 
@@ -118,7 +126,7 @@ def recover(context: Context, state: JointState, frame: Frame) -> FrameResult:
     """Search for an object missed in the previous frame, with bounded work (`relocalization`)."""
     predicted_pose = state.predict_pose(frame.time)
     state, candidate = search_lost_object(context, state, frame, predicted_pose)
-    if candidate is None:
+    if candidate is None or is_side_ambiguous(context, state, candidate, predicted_pose):
         return handle_missing_object(context, state, frame, predicted_pose)
     return accept_frame(context, state, candidate)
 
