@@ -52,16 +52,12 @@ _STATUS = {
 }
 # Three matches have several exact poses; the fourth decides (derived).
 MIN_MATCHES = 4
-# Minimum and maximum number of samples, and the probability that none is free of outliers (choice).
-MIN_SAMPLES, MAX_SAMPLES, MISS_PROBABILITY = 20, 3000, 1e-4
 # Maximum number of matches used in the search, evenly from the cameras (choice).
 MAX_SEARCH_MATCHES = 500
-# Poses kept, refinement steps of each, and iterations of re-weighting (choice).
-N_KEPT, SEARCH_STEPS, MAX_ITERATIONS = 6, 5, 50
+# Poses kept, and iterations of re-weighting (choice).
+N_KEPT, MAX_ITERATIONS = 6, 50
 # A start is discarded if its score exceeds the best by this factor and this number of matches (choice).
 MAX_SCORE_RATIO, MAX_SCORE_EXCESS = 2.0, 3.0
-# Poses that differ by a smaller angle, radians, are duplicates (choice).
-SAME_ROTATION = 0.05
 # A pose is due to chance if random matches give one as good with a higher expected number (choice).
 MAX_FALSE_ALARMS = 0.01
 # A camera supports a pose if this fraction of its matches are inliers (choice: a majority).
@@ -412,26 +408,19 @@ def search_poses(views: Views, max_square: float, thin_axis: FloatArray, rng: np
     """
     subset = _select_subset(views, rng)
     rotations, translations, scores = np.zeros((N_KEPT, 3, 3)), np.zeros((N_KEPT, 3)), np.full(N_KEPT + 1, np.inf)
-    n_done, n_samples = 0, MIN_SAMPLES
-    while n_done < n_samples:
-        draws = rng.random((min(n_samples - n_done, 200), 6))
-        kernels.search_samples(subset, draws, max_square, SEARCH_STEPS, rotations, translations, scores)
+    n_done, n_required = 0, kernels.MIN_SAMPLES
+    while n_done < n_required:
+        draws = rng.random((min(n_required - n_done, 200), 6))
+        n_required = kernels.search_samples(
+            subset, draws, n_done, max_square, thin_axis, rotations, translations, scores
+        )
         n_done += len(draws)
-        n_samples = MAX_SAMPLES
-        if scores[0] < np.inf:
-            n_samples = _required_samples(subset, ModelPose(rotations[0], translations[0]), max_square)
-    starts = [ModelPose(rotations[k], translations[k]) for k in range(N_KEPT) if scores[k] < np.inf]
-    if not starts:
+    if not scores[0] < np.inf:
         return []
-    mirrored = _mirror_pose(starts[0], thin_axis)
-    kernels.minimize(subset, mirrored, kernels.make_noise(views, max_square), 10, 1e-3)
     poses: list[Pose] = []
     max_score = MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS
-    mirrored_score = kernels.compute_score(subset, mirrored, max_square, np.inf, kernels.make_workspace())
-    for start, score in zip([*starts, mirrored], [*scores[: len(starts)], mirrored_score], strict=True):
-        if score > max_score or _is_known(poses, start):
-            continue
-        pose = _fit_pose(subset, start, max_square)
+    for k in range(np.count_nonzero(scores[:N_KEPT] <= max_score)):
+        pose = _fit_pose(subset, ModelPose(rotations[k], translations[k]), max_square)
         if pose is not None and not _is_known(poses, pose.model):
             poses.append(pose)
     poses = _sort_by_false_alarms(subset, poses)
@@ -484,28 +473,8 @@ def _select_subset(views: Views, rng: np.random.Generator) -> Views:
     return _take(views, np.concatenate(picked), np.concatenate([[0], np.cumsum([len(p) for p in picked])]))
 
 
-def _required_samples(views: Views, pose: ModelPose, max_square: float) -> int:
-    """Return the number of samples for which one is free of outliers except with probability `MISS_PROBABILITY`."""
-    inlier_ratio = kernels.sample_inlier_ratio(views, pose, max_square)
-    if inlier_ratio >= 1.0:
-        return MIN_SAMPLES
-    return int(np.clip(np.log(MISS_PROBABILITY) / np.log1p(-max(inlier_ratio, 1e-9)), MIN_SAMPLES, MAX_SAMPLES))
-
-
-def _mirror_pose(pose: ModelPose, thin_axis: FloatArray) -> ModelPose:
-    """Return the mirror pose of a flat object, which looks most alike from the cameras' center, the world's origin.
-
-    Rotations by 180 degrees about the object's normal, then about the viewing direction, preserve its scaled
-    orthographic image.
-    """
-    viewing_ray = pose.translation / max(float(np.linalg.norm(pose.translation)), 1e-300)
-    turned = 2.0 * np.outer(viewing_ray, viewing_ray @ pose.rotation) - pose.rotation
-    return ModelPose(2.0 * np.outer(turned @ thin_axis, thin_axis) - turned, pose.translation.copy())
-
-
 def _is_known(poses: Sequence[Pose], other: ModelPose) -> bool:
-    # The squared distance of two rotation matrices is 6 - 2 trace(A B^T), about twice the squared angle.
-    return any(3.0 - np.vdot(other.rotation, p.model.rotation) < SAME_ROTATION**2 for p in poses)
+    return any(kernels.is_same_rotation(other.rotation, p.model.rotation) for p in poses)
 
 
 def _fit_pose(views: Views, start: ModelPose, max_square: float) -> Pose | None:

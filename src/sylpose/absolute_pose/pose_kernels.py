@@ -30,6 +30,12 @@ ROUNDING_PX = 1e-6
 # A camera has an individual noise level if its variance differs from the others' by so many standard deviations and it
 # has so many degrees of freedom (choice).
 MIN_DEVIATION_SIGMAS, MIN_OWN_FREEDOM = 4.0, 8.0
+# Minimum and maximum number of samples, and the probability that none is free of outliers (choice).
+MIN_SAMPLES, MAX_SAMPLES, MISS_PROBABILITY = 20, 3000, 1e-4
+# Refinement steps of a sample's pose, half of those of the mirror pose (choice).
+SEARCH_STEPS = 5
+# Poses that differ by a smaller angle, radians, are duplicates (choice).
+SAME_ROTATION = 0.05
 # Iterations of re-weighting with the median's noise (choice).
 MEDIAN_ROUNDS = 3
 
@@ -150,10 +156,10 @@ def _compute_squares(views: Views, pose: ModelPose, out: FloatArray, workspace: 
 
 
 @kernel
-def sample_inlier_ratio(views: Views, pose: ModelPose, max_square: float) -> float:
-    """Return the fraction of samples of three matches that are all inliers of a pose.
+def _count_required_samples(views: Views, pose: ModelPose, max_square: float) -> int:
+    """Return the number of samples for which one is free of outliers except with probability `MISS_PROBABILITY`.
 
-    Samples are those of `search_samples`; inliers are within sqrt(max_square) pixels.
+    Samples are those of `search_samples`; inliers of the pose are within sqrt(max_square) pixels.
     """
     squares = np.empty(len(views.points))
     _compute_squares(views, pose, squares, make_workspace())
@@ -164,7 +170,11 @@ def sample_inlier_ratio(views: Views, pose: ModelPose, max_square: float) -> flo
             camera_inliers += squares[k] < max_square
         n_inliers += camera_inliers
         camera_ratios += camera_inliers / (end - first)
-    return 0.5 * ((n_inliers / len(squares)) ** 3 + (camera_ratios / n_cameras) ** 3)
+    inlier_ratio = 0.5 * ((n_inliers / len(squares)) ** 3 + (camera_ratios / n_cameras) ** 3)
+    if inlier_ratio >= 1.0:
+        return MIN_SAMPLES
+    required = np.log(MISS_PROBABILITY) / np.log1p(-max(inlier_ratio, 1e-9))
+    return int(min(max(required, MIN_SAMPLES), MAX_SAMPLES))
 
 
 @kernel
@@ -363,68 +373,147 @@ def compute_information(views: Views, pose: ModelPose, noise: Noise, out: FloatA
     out *= INFORMATION_GAIN
 
 
+@leaf
+def _draw_sample(
+    views: Views, draw: FloatArray, over_cameras: bool, origins: FloatArray, rays: FloatArray, model: FloatArray
+) -> None:
+    """Write the rays and model points (3, 3) of three matches, uniform over all matches or over cameras.
+
+    Args:
+        draw: (6,) uniform in [0, 1).
+    """
+    for i in range(3):
+        k = int(draw[i] * len(views.points))
+        if over_cameras:
+            c = int(draw[3 + i] * len(views.rotations))
+            k = views.start[c] + int(draw[i] * (views.start[c + 1] - views.start[c]))
+        c = 0
+        while k >= views.start[c + 1]:
+            c += 1
+        q, t = views.rotations[c], views.translations[c]
+        u, v = views.images[k, 0], views.images[k, 1]
+        length = np.sqrt(u * u + v * v + 1.0)
+        for j in range(3):
+            origins[i, j] = -(q[0, j] * t[0] + q[1, j] * t[1] + q[2, j] * t[2])
+            rays[i, j] = (q[0, j] * u + q[1, j] * v + q[2, j]) / length
+            model[i, j] = views.points[k, j]
+
+
+@leaf
+def is_same_rotation(a: FloatArray, b: FloatArray) -> bool:
+    """Return whether two rotations (3, 3) differ by less than `SAME_ROTATION`."""
+    # The squared distance of two rotation matrices is 6 - 2 trace(A B^T), about twice the squared angle.
+    trace = 0.0
+    for i in range(3):
+        for j in range(3):
+            trace += a[i, j] * b[i, j]
+    return bool(3.0 - trace < SAME_ROTATION * SAME_ROTATION)
+
+
+@leaf
+def _find_same(rotation: FloatArray, rotations: FloatArray, scores: FloatArray) -> int:
+    """Return the index of the kept pose with about this rotation, or K if there is none."""
+    for k in range(len(rotations)):
+        if scores[k] < np.inf and is_same_rotation(rotation, rotations[k]):
+            return k
+    return len(rotations)
+
+
+@kernel
+def _keep_pose(
+    views: Views,
+    pose: ModelPose,
+    max_square: float,
+    rotations: FloatArray,
+    translations: FloatArray,
+    scores: FloatArray,
+    workspace: Workspace,
+) -> int:
+    """Insert a pose into those kept, in place of its duplicate or the worst; return its index, or K if it is worse."""
+    k = min(_find_same(pose.rotation, rotations, scores), len(rotations) - 1)
+    score = compute_score(views, pose, max_square, scores[k], workspace)
+    if not score < scores[k]:
+        return len(rotations)
+    while k > 0 and score < scores[k - 1]:
+        rotations[k], translations[k], scores[k] = rotations[k - 1], translations[k - 1], scores[k - 1]
+        k -= 1
+    rotations[k], translations[k], scores[k] = pose.rotation, pose.translation, score
+    return k
+
+
+@leaf
+def _mirror_pose(pose: ModelPose, thin_axis: FloatArray, out: ModelPose) -> None:
+    """Write the mirror pose of a flat object, which looks most alike from the cameras' center, the world's origin.
+
+    Rotations by 180 degrees about the object's normal, then about the viewing direction, preserve its scaled
+    orthographic image.
+    """
+    r, t, mirrored = pose.rotation, pose.translation, out.rotation
+    square = max(t[0] * t[0] + t[1] * t[1] + t[2] * t[2], 1e-300)
+    for j in range(3):
+        along = (t[0] * r[0, j] + t[1] * r[1, j] + t[2] * r[2, j]) / square
+        for i in range(3):
+            mirrored[i, j] = 2.0 * along * t[i] - r[i, j]
+    for i in range(3):
+        out.translation[i] = t[i]
+        along = mirrored[i, 0] * thin_axis[0] + mirrored[i, 1] * thin_axis[1] + mirrored[i, 2] * thin_axis[2]
+        for j in range(3):
+            mirrored[i, j] = 2.0 * along * thin_axis[j] - mirrored[i, j]
+
+
 @kernel
 def search_samples(
     views: Views,
     draws: FloatArray,
+    n_done: int,
     max_square: float,
-    n_steps: int,
+    thin_axis: FloatArray,
     rotations: FloatArray,
     translations: FloatArray,
     scores: FloatArray,
-) -> None:
-    """Sample three matches at random; each best pose so far is refined on all matches and kept.
+) -> int:
+    """Sample three matches at random; refine and keep each best pose so far, and at last the best one's mirror pose.
 
     Args:
-        draws: (S, 6) uniform in [0, 1), from which samples are made.
+        draws: (S, 6) uniform in [0, 1), from which samples are made until they are enough.
+        n_done: number of samples of earlier calls.
         max_square: squared distance beyond which a match is an outlier, pixels squared.
-        n_steps: refinement steps of a pose.
-        rotations, translations, scores: (K, 3, 3), (K, 3), (K + 1,): the poses kept, best first, and the score of the
-            best sample; infinite scores initially.
+        thin_axis: (3,) the direction in which the model extends least.
+        rotations, translations, scores: (K, 3, 3), (K, 3), (K + 1,): the distinct poses kept, best first, and the score
+            of the best sample; infinite scores initially.
+
+    Returns:
+        number of samples required.
     """
-    n, n_cameras, n_kept, noise = (
-        len(views.points),
-        len(views.rotations),
-        len(translations),
-        make_noise(views, max_square),
-    )
+    n_kept, noise, workspace = len(translations), make_noise(views, max_square), make_workspace()
     origins, rays, model = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    found_rotations, found_translations, workspace = np.empty((8, 3, 3)), np.empty((8, 3)), make_workspace()
-    for s in range(len(draws)):
-        for i in range(3):
-            k = int(draws[s, i] * n)
-            if s % 2 == 1:  # uniform over cameras: one with many outliers must not dominate
-                c = int(draws[s, 3 + i] * n_cameras)
-                k = views.start[c] + int(draws[s, i] * (views.start[c + 1] - views.start[c]))
-            c = 0
-            while k >= views.start[c + 1]:
-                c += 1
-            q, t = views.rotations[c], views.translations[c]
-            u, v = views.images[k, 0], views.images[k, 1]
-            length = np.sqrt(u * u + v * v + 1.0)
-            for j in range(3):
-                origins[i, j] = -(q[0, j] * t[0] + q[1, j] * t[1] + q[2, j] * t[2])
-                rays[i, j] = (q[0, j] * u + q[1, j] * v + q[2, j]) / length
-                model[i, j] = views.points[k, j]
+    found_rotations, found_translations = np.empty((8, 3, 3)), np.empty((8, 3))
+    n_required, s = MAX_SAMPLES, 0
+    if scores[0] < np.inf:
+        n_required = _count_required_samples(views, ModelPose(rotations[0], translations[0]), max_square)
+    while s < len(draws) and n_done + s < n_required:
+        # Half of them uniform over cameras: one with many outliers must not dominate.
+        _draw_sample(views, draws[s], s % 2 == 1, origins, rays, model)
+        s += 1
         best = -1
         for h in range(solve_p3p(origins, rays, model, found_rotations, found_translations)):
             found = ModelPose(found_rotations[h], found_translations[h])
             value = compute_score(views, found, max_square, scores[n_kept], workspace)
             if value < scores[n_kept]:
                 scores[n_kept], best = value, h
-        if best < 0:
+        # Refining it would only lead to a kept pose that is better already.
+        if best < 0 or scores[_find_same(found_rotations[best], rotations, scores)] < scores[n_kept]:
             continue
         pose = ModelPose(found_rotations[best], found_translations[best])
-        minimize(views, pose, noise, n_steps, 1e-3)
-        value = compute_score(views, pose, max_square, scores[n_kept - 1], workspace)
-        if not value < scores[n_kept - 1]:
-            continue
-        position = n_kept - 1
-        while position > 0 and value < scores[position - 1]:
-            rotations[position], translations[position] = rotations[position - 1], translations[position - 1]
-            scores[position] = scores[position - 1]
-            position -= 1
-        rotations[position], translations[position], scores[position] = pose.rotation, pose.translation, value
+        minimize(views, pose, noise, SEARCH_STEPS, 1e-3)
+        if _keep_pose(views, pose, max_square, rotations, translations, scores, workspace) == 0:
+            n_required = _count_required_samples(views, pose, max_square)
+    if n_done + s >= n_required and scores[0] < np.inf:
+        mirrored = ModelPose(found_rotations[0], found_translations[0])
+        _mirror_pose(ModelPose(rotations[0], translations[0]), thin_axis, mirrored)
+        minimize(views, mirrored, noise, 2 * SEARCH_STEPS, 1e-3)
+        _keep_pose(views, mirrored, max_square, rotations, translations, scores, workspace)
+    return n_required
 
 
 @leaf
