@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 from math import lgamma
 from statistics import median
@@ -26,7 +27,7 @@ from sylpose.geometry.normal_equations import (
     find_unobservable_directions,
     has_rotation_direction,
 )
-from sylpose.geometry.numba_linalg import find_distinct_rows
+from sylpose.geometry.numba_linalg import find_distinct_rows, symmetric_eigen
 from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, DEFAULT_NOISE_PX, NoisePx, NoiseUnits, make_noise_units
 from sylpose.geometry.validation import check_finite_rows, check_integer, check_number, check_sequence, check_type
 from sylpose.results import FramePose, Motion
@@ -113,46 +114,56 @@ def estimate_pose(
     units = NoiseUnits(np.ones(n), 0.0) if noise_px is None else make_noise_units(noise_px, rig.names)
     models = _check_arrays(rig, points, 3, "points", MAX_LENGTH)
     pixel_arrays = _check_arrays(rig, pixels, 2, "pixels", MAX_FOCAL_PX)
-    for camera, x, u in zip(rig, models, pixel_arrays, strict=True):
+    for name, x, u in zip(rig.names, models, pixel_arrays, strict=True):
         if len(x) != len(u):
-            raise ValueError(f"camera {camera.name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
-    is_used = units.per_px > 0.0
-    used = [[v if use else v[:0] for v, use in zip(vs, is_used, strict=True)] for vs in (models, pixel_arrays)]
-    unique = [find_distinct_rows(x, u) for x, u in zip(*used, strict=True)]
-    parts = [[v if s is None else v[s.rows] for v, s in zip(vs, unique, strict=True)] for vs in used]
-    result = _estimate(rig, parts[0], parts[1], max_error_px, units, seed)
-    if all(s is None for s in unique) and is_used.all():
-        return result
-    masks = [m if s is None else m[s.inverse] for m, s in zip(result.inliers, unique, strict=True)]
-    inliers = (m if use else np.zeros(len(x), bool) for m, x, use in zip(masks, models, is_used, strict=True))
-    return replace(result, inliers=tuple(inliers))
+            raise ValueError(f"camera {name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
+    counts = np.array([len(x) for x in models])
+    camera, model, image = np.repeat(np.arange(n), counts), np.concatenate(models), np.concatenate(pixel_arrays)
+    # Only a match of the same camera is a copy.
+    unique = find_distinct_rows(model, np.concatenate([image, camera[:, None]], axis=1))
+    rows = np.arange(len(model)) if unique is None else unique.rows
+    kept = rows[units.per_px[camera[rows]] > 0.0]
+    result = _estimate(rig, model[kept], image[kept], camera[kept], max_error_px, units, seed)
+    is_inlier = np.zeros(len(model), bool)
+    is_inlier[kept] = result.inliers[0]
+    if unique is not None:
+        is_inlier = is_inlier[unique.rows][unique.inverse]
+    ends = [0, *np.cumsum(counts).tolist()]
+    return replace(result, inliers=tuple(is_inlier[begin:end] for begin, end in pairwise(ends)))
 
 
 def _check_arrays(rig: Rig, arrays: Sequence[ArrayLike], width: int, name: str, maximum: float) -> list[FloatArray]:
     """Return each camera's array (n, width), checked."""
+    # Usually one check is enough for all of them; where it fails, those of single cameras name the culprit.
+    plain = [a for a in arrays if type(a) is np.ndarray and a.dtype == float and a.flags.c_contiguous]
+    plain = [a for a in plain if a.shape[1:] == (width,)]
+    if len(plain) == len(rig) and np.abs(np.concatenate(plain)).max(initial=0.0) <= maximum:
+        return plain
     named = [(f"camera {camera.name}: {name}", array) for camera, array in zip(rig, arrays, strict=True)]
     return [check_finite_rows(array, width, label, maximum=maximum) for label, array in named]
 
 
 def _estimate(
-    rig: Rig, models: list[FloatArray], pixels: list[FloatArray], max_px: float, units: NoiseUnits, seed: int
+    rig: Rig, model: FloatArray, pixels: FloatArray, camera: IntArray, max_px: float, units: NoiseUnits, seed: int
 ) -> Motion:
-    """Run `estimate_pose` on checked matches of used cameras, without copies."""
-    counts = np.array([len(x) for x in models])
-    model = np.concatenate(models)
+    """Run `estimate_pose` on checked matches of used cameras, sorted by camera and without copies.
+
+    Returns:
+        the result, with one mask of inliers for all cameras.
+    """
     center = model.mean(axis=0) if len(model) else np.full(3, np.nan)
-    if not _has_enough_matches(model, np.repeat(np.arange(len(rig)), counts)):
-        return _make_empty_result(rig, counts, Status.TOO_FEW_MATCHES, center)
-    used = np.flatnonzero(counts).tolist()
-    cameras, used_pixels = [rig.cameras[c] for c in used], [pixels[c] for c in used]
-    origin, views = _make_views(cameras, model - center, used_pixels, units.per_px[used], units.sigma)
+    if not _has_enough_matches(model, camera):
+        return _make_empty_result(rig, len(model), Status.TOO_FEW_MATCHES, center)
+    origin, views = _make_views(rig, camera, model - center, pixels, units)
     max_square = float(max_px * units.per_px.max()) ** 2
-    extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
+    extent, axes = np.empty(3), np.empty((3, 3))
+    symmetric_eigen(views.points.T @ views.points / len(model), extent, axes)
     if not extent[1] > 1e-12 * extent[2]:
-        return replace(_make_empty_result(rig, counts, Status.ROTATION_NOT_OBSERVABLE, center), unobservable=np.eye(6))
+        empty = _make_empty_result(rig, len(model), Status.ROTATION_NOT_OBSERVABLE, center)
+        return replace(empty, unobservable=np.eye(6))
     poses = search_poses(views, max_square, axes[:, 0], np.random.default_rng(seed))
     if not poses:
-        return _make_empty_result(rig, counts, Status.NOT_CONSISTENT, center)
+        return _make_empty_result(rig, len(model), Status.NOT_CONSISTENT, center)
     best = poses[0]
     status = Status.OK if best.converged else Status.NOT_CONVERGED
     all_inliers = bool(best.weights.all())
@@ -180,11 +191,11 @@ def _estimate(
             status = Status.ROTATION_NOT_OBSERVABLE if is_rotation else Status.SCALE_NOT_OBSERVABLE
         elif all_inliers and is_by_chance(views, best):
             status = Status.NOT_CONSISTENT
-    is_inlier = best.weights > 0
-    camera = np.repeat(np.arange(len(counts)), counts)[is_inlier]
-    sums = np.bincount(camera, best.squares[is_inlier], len(counts))
-    numbers = np.bincount(camera, minlength=len(counts))
-    residuals = np.sqrt(sums / np.maximum(numbers, 1), out=np.full(len(counts), np.nan), where=numbers > 0)
+    is_inlier = best.weights > 0.0
+    sums = np.bincount(camera[is_inlier], best.squares[is_inlier], len(rig))
+    numbers = np.bincount(camera[is_inlier], minlength=len(rig))
+    residuals = np.sqrt(sums / np.maximum(numbers, 1)) / np.where(units.per_px > 0.0, units.per_px, 1.0)
+    residuals[numbers == 0] = np.nan
     matrix = np.eye(4)
     matrix[:3, :3] = best.model.rotation
     matrix[:3, 3] = origin + best.model.translation - best.model.rotation @ center
@@ -195,20 +206,14 @@ def _estimate(
         information=pose_information,
         covariance=invert_information(pose_information),
         unobservable=unobservable,
-        inliers=_split(is_inlier, counts),
-        residuals=residuals / np.where(units.per_px > 0.0, units.per_px, 1.0),
+        inliers=(is_inlier,),
+        residuals=residuals,
         method=METHOD,
         iterations=best.iterations,
         faults=faults,
         camera_names=rig.names,
         unit=rig.unit,
     )
-
-
-def _split(values: BoolArray, counts: IntArray) -> tuple[BoolArray, ...]:
-    """Split an array of all matches into one per camera."""
-    ends = np.cumsum(counts).tolist()
-    return tuple(values[begin:end] for begin, end in pairwise([0, *ends]))
 
 
 def _has_enough_matches(model: FloatArray, camera: IntArray) -> bool:
@@ -243,8 +248,8 @@ def _information_scale(pose: Pose, known_noise: float) -> float:
 
 def _observability_limits(views: Views, pose: Pose) -> FloatArray:
     """Return (6,) standard deviations beyond which (w, d) are unobservable: an angle, and half of the distance."""
-    centers = -np.einsum("cij,ci->cj", views.rotations, views.translations)
-    distance = float(np.linalg.norm(centers - pose.model.translation, axis=1).min())
+    positions = views.rotations @ pose.model.translation + views.translations
+    distance = float(np.linalg.norm(positions, axis=1).min())
     return np.array([UNOBSERVABLE_ROTATION_SD] * 3 + [UNOBSERVABLE_RATIO * distance] * 3)
 
 
@@ -274,8 +279,8 @@ def _find_unobservable(
     return directions
 
 
-def _make_empty_result(rig: Rig, counts: IntArray, status: Status, center: FloatArray) -> Motion:
-    """Make a public result without pose, inliers and information."""
+def _make_empty_result(rig: Rig, n_matches: int, status: Status, center: FloatArray) -> Motion:
+    """Make a result without pose, inliers and information."""
     nothing = np.zeros((6, 6))
     return Motion(
         status=status,
@@ -284,8 +289,8 @@ def _make_empty_result(rig: Rig, counts: IntArray, status: Status, center: Float
         information=nothing,
         covariance=invert_information(nothing),
         unobservable=np.empty((0, 6)),
-        inliers=tuple(np.zeros(n, bool) for n in counts),
-        residuals=np.full(len(counts), np.nan),
+        inliers=(np.zeros(n_matches, bool),),
+        residuals=np.full(len(rig), np.nan),
         method=METHOD,
         iterations=0,
         camera_names=rig.names,
@@ -293,37 +298,51 @@ def _make_empty_result(rig: Rig, counts: IntArray, status: Status, center: Float
     )
 
 
-def _make_views(
-    cameras: Sequence[Camera], model: FloatArray, pixels: Sequence[FloatArray], per_px: FloatArray, min_sigma: float
-) -> tuple[FloatArray, Views]:
-    """Return the origin (3,) of the views' world frame and the views.
+@lru_cache
+def _stack_cameras(cameras: tuple[Camera, ...]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, list[int]]:
+    """Stack the constants of cameras, once for all calls with the same cameras.
 
-    The origin is the cameras' centroid, so that distant positions lose no digits. Pixels are in units that are per_px
-    (C,) of a pixel; the noise is at least `min_sigma` of them.
+    Returns:
+        the cameras' centroid (3,); rotations and translations (C, 3, 3) and (C, 3) of camera_from_world with this
+        origin, so that distant positions lose no digits; focal lengths and principal points (C, 2, 2), pixels; indices
+        of the cameras with lens distortion.
     """
-    rotations = np.array([camera.rotation for camera in cameras])
-    centers = np.array([camera.center for camera in cameras])
-    origin = centers.mean(axis=0)
-    start = np.concatenate([[0], np.cumsum([len(u) for u in pixels])])
-    images, to_pixels = np.empty((len(model), 2)), np.empty((len(model), 4))
-    for c, (camera, u) in enumerate(zip(cameras, pixels, strict=True)):
-        camera_slice = slice(start[c], start[c + 1])
-        images[camera_slice], jacobian = _undistort(camera, u)
-        to_pixels[camera_slice] = per_px[c] * jacobian
+    rotations, centers = np.array([c.rotation for c in cameras]), np.array([c.center for c in cameras])
+    origin, matrices = centers.mean(axis=0), np.array([c.matrix for c in cameras])
+    intrinsics = np.stack([matrices[:, (0, 1), (0, 1)], matrices[:, :2, 2]], axis=1)
+    translations = np.einsum("cij,cj->ci", rotations, origin - centers)
+    distorted = [k for k, c in enumerate(cameras) if c.lens != "opencv" or c.distortion.any()]
+    return origin, rotations, translations, intrinsics, distorted
+
+
+def _make_views(
+    rig: Rig, camera: IntArray, model: FloatArray, pixels: FloatArray, units: NoiseUnits
+) -> tuple[FloatArray, Views]:
+    """Return the origin (3,) of the views' world frame and the views of the cameras with matches.
+
+    `camera` (n,) is each match's camera, ascending.
+    """
+    counts = np.bincount(camera, minlength=len(rig))
+    used = np.flatnonzero(counts)
+    cameras, start = tuple(rig.cameras[c] for c in used.tolist()), np.concatenate([[0], np.cumsum(counts[used])])
+    origin, rotations, translations, intrinsics, distorted = _stack_cameras(cameras)
+    intrinsics = np.repeat(intrinsics, counts[used], axis=0)
+    focals = intrinsics[:, 0]
+    images, to_pixels = (pixels - intrinsics[:, 1]) / focals, np.zeros((len(model), 4))
+    to_pixels[:, ::3] = focals
+    for k in distorted:
+        part = slice(start[k], start[k + 1])
+        images[part], to_pixels[part] = _undistort(cameras[k], pixels[part])
+    to_pixels *= units.per_px[camera, None]
     # Pixels that the lens cannot produce are put far outside of every image.
     if not (np.isfinite(images).all() and np.isfinite(to_pixels).all()):
         is_invalid = ~(np.isfinite(images).all(axis=1) & np.isfinite(to_pixels).all(axis=1))
         images[is_invalid], to_pixels[is_invalid] = 1e9, (1.0, 0.0, 0.0, 1.0)
-    translations = np.einsum("cij,cj->ci", rotations, origin - centers)
-    return origin, Views(model, images, to_pixels, start, rotations, translations, min_sigma * min_sigma)
+    return origin, Views(model, images, to_pixels, start, rotations, translations, units.sigma**2)
 
 
 def _undistort(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return normalized points (n, 2), and (n, 4) or (4,), row-major, derivatives of the recorded pixel by each."""
-    if camera.lens == "opencv" and not camera.distortion.any():
-        # Without distortion: OpenCV's call would be a third of the time for many cameras with few points.
-        focals = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
-        return (pixels - camera.matrix[:2, 2]) / focals, np.array([focals[0], 0.0, 0.0, focals[1]])
+    """Return normalized points (n, 2), and (n, 4), row-major, derivatives of the recorded pixel by each."""
     images = camera.normalize(pixels)
     h = 1e-4
     steps = h * np.array([[[1.0, 0.0]], [[-1.0, 0.0]], [[0.0, 1.0]], [[0.0, -1.0]]])
@@ -456,9 +475,9 @@ def _sort_by_false_alarms(views: Views, poses: list[Pose]) -> list[Pose]:
 
 def _select_subset(views: Views, rng: np.random.Generator) -> Views:
     """Select about `MAX_SEARCH_MATCHES` matches at most, evenly from the cameras."""
-    counts = np.diff(views.start)
-    if counts.sum() <= MAX_SEARCH_MATCHES:
+    if len(views.points) <= MAX_SEARCH_MATCHES:
         return views
+    counts = np.diff(views.start)
     # Cameras with few matches leave their quota to the others.
     quota = MAX_SEARCH_MATCHES // len(counts)
     for _ in range(3):
