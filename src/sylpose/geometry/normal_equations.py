@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.numba_linalg import cholesky, leaf
+from sylpose.geometry.numba_linalg import cholesky, leaf, symmetric_eigen
 
 # A rotation with a larger standard deviation, radians, is unobservable where there is no reference to compare with
 # (choice).
@@ -139,9 +139,11 @@ def find_unobservable_directions(
     if information.ndim == 2:
         # Usually all is observable, and no eigenvectors are needed. (A Cholesky factor would be faster still, but it
         # also exists where rounding of the largest eigenvalue hides an unobservable direction.)
-        values = np.linalg.eigvalsh(in_limits)
+        n = len(in_limits)
+        values = np.empty(n)
+        symmetric_eigen(np.array(in_limits, order="C"), values, np.empty((n, n)))
         if values[0] >= max(1.0, min_ratio * values[-1]):
-            return np.empty((0, len(in_limits)))
+            return np.empty((0, n))
     values, vectors = np.linalg.eigh(in_limits)
     first = values.reshape(-1, values.shape[-1])[0]
     k = int(np.searchsorted(first, max(1.0, min_ratio * first[-1])))
