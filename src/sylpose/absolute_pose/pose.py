@@ -120,7 +120,7 @@ def estimate_pose(
     counts = np.array([len(x) for x in models])
     camera, model, image = np.repeat(np.arange(n), counts), np.concatenate(models), np.concatenate(pixel_arrays)
     # Only a match of the same camera is a copy.
-    unique = find_distinct_rows(model, np.concatenate([image, camera[:, None]], axis=1))
+    unique = find_distinct_rows(model, np.concatenate([camera[:, None], image], axis=1))
     rows = np.arange(len(model)) if unique is None else unique.rows
     kept = rows[units.per_px[camera[rows]] > 0.0]
     result = _estimate(rig, model[kept], image[kept], camera[kept], max_error_px, units, seed)
@@ -133,7 +133,7 @@ def estimate_pose(
 
 
 def _check_arrays(rig: Rig, arrays: Sequence[ArrayLike], width: int, name: str, maximum: float) -> list[FloatArray]:
-    """Return each camera's array (n, width), checked."""
+    """Return each camera's array (n, width), checked; it may be the caller's."""
     # Usually one check is enough for all of them; where it fails, those of single cameras name the culprit.
     plain = [a for a in arrays if type(a) is np.ndarray and a.dtype == float and a.flags.c_contiguous]
     plain = [a for a in plain if a.shape[1:] == (width,)]
@@ -280,7 +280,7 @@ def _find_unobservable(
 
 
 def _make_empty_result(rig: Rig, n_matches: int, status: Status, center: FloatArray) -> Motion:
-    """Make a result without pose, inliers and information."""
+    """Make a result without pose and information, with one mask of inliers for all cameras."""
     nothing = np.zeros((6, 6))
     return Motion(
         status=status,
@@ -299,8 +299,10 @@ def _make_empty_result(rig: Rig, n_matches: int, status: Status, center: FloatAr
 
 
 @lru_cache
-def _stack_cameras(cameras: tuple[Camera, ...]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, list[int]]:
-    """Stack the constants of cameras, once for all calls with the same cameras.
+def _stack_cameras(
+    cameras: tuple[Camera, ...],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[int, ...]]:
+    """Stack the constants of cameras, once for all calls with the same cameras, which share the result: do not write.
 
     Returns:
         the cameras' centroid (3,); rotations and translations (C, 3, 3) and (C, 3) of camera_from_world with this
@@ -311,7 +313,7 @@ def _stack_cameras(cameras: tuple[Camera, ...]) -> tuple[FloatArray, FloatArray,
     origin, matrices = centers.mean(axis=0), np.array([c.matrix for c in cameras])
     intrinsics = np.stack([matrices[:, (0, 1), (0, 1)], matrices[:, :2, 2]], axis=1)
     translations = np.einsum("cij,cj->ci", rotations, origin - centers)
-    distorted = [k for k, c in enumerate(cameras) if c.lens != "opencv" or c.distortion.any()]
+    distorted = tuple(k for k, c in enumerate(cameras) if c.lens != "opencv" or c.distortion.any())
     return origin, rotations, translations, intrinsics, distorted
 
 

@@ -501,7 +501,7 @@ def search_samples(
             value = compute_score(views, found, max_square, scores[n_kept], workspace)
             if value < scores[n_kept]:
                 scores[n_kept], best = value, h
-        # Refining it would only lead to a kept pose that is better already.
+        # Refining it would nearly always lead to a kept pose that is better already.
         if best < 0 or scores[_find_same(found_rotations[best], rotations, scores)] < scores[n_kept]:
             continue
         pose = ModelPose(found_rotations[best], found_translations[best])

@@ -29,6 +29,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.features.sift import Features, match_features
 from sylpose.geometry.arrays import FloatArray
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
 from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
@@ -299,17 +300,18 @@ def is_side_ambiguous(
     """Return whether a pose far from the predicted one may be that of another side, which looks alike.
 
     Many features of a repetitive pattern match those of other sides. If the visible side is in no keyframe, only a wrong
-    one is found.
+    one is found. Keyframes of one side only do not show it, nor does a pattern that repeats within one view.
     """
     if is_near_start(state, candidate, predicted_pose):
         return False
     keyframes, viewpoints = state.frames.keyframes, compute_viewpoints(context.rig, candidate.pose)
-    local = [[k for k in keyframes if k.is_visible[c]] for c in context.executor.local]
+    visible = [[k for k in keyframes if k.is_visible[c]] for c in context.executor.local]
+    compared = [own[:: 1 + len(own) // N_KEYFRAMES**2] for own in visible]
     nearest = [find_nearest_views(keyframes, c, viewpoints[c], 1) for c in context.executor.local]
     count = partial(_count_alike, radius=state.object.radius)
-    counts = context.executor.gather(context.executor.run(count, context.cameras, nearest, local), (0, 0))
+    counts = context.executor.gather(context.executor.run(count, context.cameras, nearest, compared), (0, 0))
     n_same, n_elsewhere = np.array(counts).sum(axis=0)
-    return bool(n_elsewhere > MAX_ALIKE_RATIO * n_same)
+    return bool(n_elsewhere >= MIN_MATCHES and n_elsewhere > MAX_ALIKE_RATIO * n_same)
 
 
 def _count_alike(
@@ -322,7 +324,7 @@ def _count_alike(
 
     Args:
         nearest: the keyframe; none if the camera has none.
-        keyframes: of the camera.
+        keyframes: those to compare it with.
         radius: of the object.
     """
     is_same, is_elsewhere = np.zeros((2, 0), bool)

@@ -103,7 +103,7 @@ def _is_plausible(
 ) -> bool:
     """Return whether a weakly supported pose is plausible nevertheless.
 
-    It is that of a slow object near its predicted pose, with few features, but not because of their noise.
+    It is near the predicted pose of a slow object, and weak for lack of features, not for their scatter.
     """
     if candidate is None or not has_known_references(state, candidate) or is_noisy(context, state, candidate):
         return False
