@@ -21,6 +21,7 @@ from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotati
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.relative_pose.camera_evidence import TREMBLE_SD
 from sylpose.relative_pose.observability import SELECTED_PER_UNKNOWN
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import (
     CameraSolution,
@@ -346,11 +347,16 @@ def compute_noise_weights(context: Context, state: JointState, candidate: PoseCa
     return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
 
 
-def is_noisy(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
-    """Return whether most inlier features of a pose are of cameras in which these scatter too much."""
+def is_scattered(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
+    """Return whether almost all inlier features of a pose are of cameras in which they scatter as by chance.
+
+    They then have no better residuals than features anywhere within the search radius of a predicted pose.
+    """
+    noise = np.nan_to_num(np.array([a.noise_px for a in candidate.agreements]), nan=np.inf)
+    ratio = ZERO_WEIGHT_NOISE_RATIO / SOLVED_RADIUS * PREDICTED_RADIUS
+    is_better = noise < ratio * np.array(context.object_radius_px(state, candidate.pose))
     features = np.array([a.n_inlier_features for a in candidate.agreements])
-    is_good = compute_noise_weights(context, state, candidate) > MIN_GOOD_WEIGHT
-    return bool(2 * features[is_good].sum() < features.sum())
+    return bool(features[is_better].sum() < MIN_MATCHES)
 
 
 def is_weakly_supported(context: Context, state: JointState, candidate: PoseCandidate) -> bool:

@@ -30,7 +30,7 @@ from sylpose.tracking.pose_search import (
     find_pose_with_all_features,
     is_fast,
     is_near_start,
-    is_noisy,
+    is_scattered,
     is_weakly_supported,
     track_from_anchor,
 )
@@ -103,9 +103,9 @@ def _is_plausible(
 ) -> bool:
     """Return whether a weakly supported pose is plausible nevertheless.
 
-    It is near the predicted pose of a slow object, and weak for lack of features, not for their scatter.
+    It is near the predicted pose of a slow object, and its features do not scatter as by chance.
     """
-    if candidate is None or not has_known_references(state, candidate) or is_noisy(context, state, candidate):
+    if candidate is None or not has_known_references(state, candidate) or is_scattered(context, state, candidate):
         return False
     return not is_fast(state, predicted_pose) and is_near_start(state, candidate, predicted_pose)
 
