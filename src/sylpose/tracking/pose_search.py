@@ -353,8 +353,9 @@ def is_scattered(context: Context, state: JointState, candidate: PoseCandidate) 
     They then have no better residuals than features anywhere within the search radius of a predicted pose.
     """
     noise = np.nan_to_num(np.array([a.noise_px for a in candidate.agreements]), nan=np.inf)
-    ratio = ZERO_WEIGHT_NOISE_RATIO / SOLVED_RADIUS * PREDICTED_RADIUS
-    is_better = noise < ratio * np.array(context.object_radius_px(state, candidate.pose))
+    # The noise at which inliers count nothing, for the larger search radius.
+    chance_ratio = ZERO_WEIGHT_NOISE_RATIO / SOLVED_RADIUS * PREDICTED_RADIUS
+    is_better = noise < chance_ratio * np.array(context.object_radius_px(state, candidate.pose))
     features = np.array([a.n_inlier_features for a in candidate.agreements])
     return bool(features[is_better].sum() < MIN_MATCHES)
 

@@ -306,8 +306,8 @@ def is_side_ambiguous(
         return False
     keyframes, viewpoints = state.frames.keyframes, compute_viewpoints(context.rig, candidate.pose)
     visible = [[k for k in keyframes if k.is_visible[c]] for c in context.executor.local]
-    compared = [own[:: 1 + len(own) // N_KEYFRAMES**2] for own in visible]
-    nearest = [find_nearest_views(keyframes, c, viewpoints[c], 1) for c in context.executor.local]
+    compared = [own[:: -(-len(own) // N_KEYFRAMES**2) or 1] for own in visible]
+    nearest = [next(iter(find_nearest_views(keyframes, c, viewpoints[c], 1)), None) for c in context.executor.local]
     count = partial(_count_alike, radius=state.object.radius)
     counts = context.executor.gather(context.executor.run(count, context.cameras, nearest, compared), (0, 0))
     n_same, n_elsewhere = np.array(counts).sum(axis=0)
@@ -315,26 +315,23 @@ def is_side_ambiguous(
 
 
 def _count_alike(
-    camera: CameraTracker,
-    nearest: Sequence[SolvedFrame],
-    keyframes: Sequence[SolvedFrame],
-    radius: float,
+    camera: CameraTracker, keyframe: SolvedFrame | None, others: Sequence[SolvedFrame], radius: float
 ) -> tuple[int, int]:
     """Count a keyframe's features that match others at the same place of the object, and those that match some elsewhere.
 
     Args:
-        nearest: the keyframe; none if the camera has none.
-        keyframes: those to compare it with.
+        keyframe: None if the camera has none.
+        others: keyframes to compare it with.
         radius: of the object.
     """
-    is_same, is_elsewhere = np.zeros((2, 0), bool)
-    for keyframe in nearest:
-        features, places = _select_located(camera.frames[keyframe.number], radius)
-        is_same, is_elsewhere = np.zeros((2, len(features)), bool)
-        for other in (k for k in keyframes if k.number != keyframe.number):
-            others, other_places = _select_located(camera.frames[other.number], radius)
-            i, j = match_features(features, others, ALIKE_DESCRIPTOR_RATIO).T
-            is_far = np.linalg.norm(places[i] - other_places[j], axis=1) > MAX_START_TRANSLATION * radius
-            is_same[i[~is_far]] = True
-            is_elsewhere[i[is_far]] = True
+    if keyframe is None:
+        return 0, 0
+    features, places = _select_located(camera.frames[keyframe.number], radius)
+    is_same, is_elsewhere = np.zeros((2, len(features)), bool)
+    for other in (k for k in others if k.number != keyframe.number):
+        other_features, other_places = _select_located(camera.frames[other.number], radius)
+        i, j = match_features(features, other_features, ALIKE_DESCRIPTOR_RATIO).T
+        is_far = np.linalg.norm(places[i] - other_places[j], axis=1) > MAX_START_TRANSLATION * radius
+        is_same[i[~is_far]] = True
+        is_elsewhere[i[is_far]] = True
     return int(is_same.sum()), int(is_elsewhere.sum())
