@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from types import SimpleNamespace
 from typing import cast
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.trust import compute_errors, draw
 from sylpose.features.sift import Features
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
@@ -25,6 +27,7 @@ from sylpose.tracking.first_motion import (
     OUTSIDE_REASON,
     FirstMotion,
     _is_at_edges,
+    bound_pose,
     is_box_center_static,
     select_static_matches,
 )
@@ -184,6 +187,27 @@ def test_object_that_left_only_background_does_not_rest() -> None:
     }
     found = list(track(clip.frames(), clip.rig, large))
     assert statuses(found)[1:] == [FrameStatus.BACKGROUND_ONLY] * 2
+
+
+def test_pose_from_guessed_depths_has_its_covariance() -> None:
+    """An arm before the object, in boxes of two cameras: before any depth is known the arm's motion fits as well."""
+    take = draw("arm-across", 68)
+    poses = [one.pose for one in track(list(islice(take.frames(), 4)), take.calibration, take.boxes, workers=1)]
+    (truth, *_) = take.true_poses()
+    errors, _ = compute_errors(take, poses, truth)
+    assert errors[1:, 0].min() > 3.0  # degrees
+    assert errors[1:, 2].max() < 3.0  # standard deviations
+
+
+def test_rest_of_a_thin_object_is_uncertain_about_its_axis() -> None:
+    """The smallest motion that would be seen turns a rod by much about its axis, and by little across it."""
+    state = make_bounded_state()
+    rod = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 3)) * [0.02, RADIUS, 0.02]
+    context = Context(RIG, (), LocalExecutor(len(RIG), 1), "landmarks", False, True, np.zeros(len(RIG)), 0)
+    sd = np.sqrt(np.diag(bound_pose(context, replace(state, object=replace(state.object, points=rod))).covariance))
+    lever = np.sqrt((rod[:, 1] ** 2).mean())
+    np.testing.assert_allclose(sd[[0, 2]], sd[3] / lever, rtol=0.05)
+    assert sd[1] > 4.0 * sd[[0, 2]].max()
 
 
 def disturb_image(image: Image, *, blur: float, light: float, noise: float, seed: int) -> Image:

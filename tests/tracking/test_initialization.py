@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from benchmarks.kinds import KINDS
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.matrices import relative_rotvec
 from sylpose.landmarks.landmark_filter import LandmarkTable
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.limits import MIN_ERROR_PX
@@ -191,6 +192,21 @@ def test_errors_scale_with_noise(executor: LocalExecutor, rig: Rig) -> None:
     assert 1e-4 < turn < 1e-2
     assert 1e-4 < translation < 5e-3
     assert found.n_inliers > 0.9 * OBJECT.count * len(rig)
+
+
+def test_pose_without_depths_has_its_covariance(executor: LocalExecutor, rig: Rig) -> None:
+    """Of an object whose center is not that of the matches: errors of the rotation move it."""
+    first_pose = RigidTransform.from_translation(AT + np.array([0.1, -0.05, 0.2]))
+    true_pose, squares = MOTION * first_pose, []
+    for room in range(40, 64):  # the noise differs as well
+        found = estimate_motion(executor, rig, make_pairs(rig, [OBJECT], room, noise_px=0.3))
+        estimate = found.estimate_pose(first_pose, found.radius)
+        moved = true_pose.translation - estimate.world_from_object.translation
+        error = np.concatenate([relative_rotvec(estimate.world_from_object, true_pose), moved])
+        squares.append(float(error @ np.linalg.solve(estimate.covariance, error)))
+    # Six degrees of freedom each; robust estimates are on the safe side.
+    assert 2.0 < np.mean(squares) < 9.0
+    assert max(squares) < 27.0
 
 
 @pytest.mark.parametrize("count", [10, 20])

@@ -24,6 +24,7 @@ from sylpose.tracking.joint_side.joint_state import (
     MotionModel,
     Nudge,
     ObjectMotion,
+    PoseEstimate,
     Refinement,
     SolvedFrame,
 )
@@ -126,6 +127,7 @@ RECORDS = (
     RecordType(Nudge, {"rotation": (3,)}),
     RecordType(FrameAnnouncement),
     RecordType(KnownFrames),
+    RecordType(PoseEstimate, {"covariance": (6, 6)}),
     RecordType(ObjectMotion),
     RecordType(Refinement, {"covariance": (6, 6)}),
 )

@@ -17,8 +17,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.matrices import make_motion_about
+from sylpose.geometry.matrices import invert_information, make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
+from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
@@ -53,7 +54,7 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.frame_solvers import scatter_fit
-from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion
+from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion, PoseEstimate, bound_information
 from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
@@ -123,6 +124,22 @@ class FirstMotion:
     def motion(self) -> RigidTransform:
         """Motion of the object since the frame."""
         return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
+
+    def measure_length(self, center: FloatArray) -> float:
+        """Return the median length by which moving matches at a center (3,) have moved; 0 with too few."""
+        reports = [report for own in self.moving for report in own]
+        lengths = [r.displacement_px / r.term.focal * np.linalg.norm(r.term.center - center) for r in reports]
+        moved = np.concatenate([np.empty(0), *lengths])
+        return float(np.median(moved)) if len(moved) >= MIN_MATCHES else 0.0
+
+    def estimate_pose(self, first_pose: RigidTransform, radius: float) -> PoseEstimate:
+        """Estimate the pose from that in the first frame (world_from_object), of an object of a radius."""
+        pose = self.motion * first_pose
+        shift = pose.translation - self.center - self.fit.translation
+        jacobian = np.eye(6)
+        jacobian[3:, :3] = -np.cross(np.eye(3), shift)
+        own = invert_information(self.fit.information + bound_information(radius))
+        return PoseEstimate(pose, jacobian @ own @ jacobian.T)
 
     def compute_f_ratio(self) -> float:
         """Compute the F ratio of the cameras' own motions (`camera_evidence`); NaN unless several have evidence."""
@@ -435,24 +452,32 @@ def _update_depth(
     """
     first = state.frames.first
     initial_motion = estimate_first_motion(context, pairs, first.number)
+    known = bound_pose(context, state, initial_motion.measure_length(first.world_from_object.translation))
+    state = replace(state, motion=replace(state.motion, without_depth=known))
     # Something may pass by behind the object.
     is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
     is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
-    if not initial_motion.is_significant or is_unclear or is_far:
+    if not initial_motion.is_rigid or is_unclear or is_far:
         return state, None
     if state.object.is_depth_guessed and (
         initial_motion.compute_f_ratio() > context.options.max_pooled_f_ratio
         or _is_at_edges(context, state, pairs, initial_motion)
     ):
         return state, None  # all later frames would build on it
+    accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
+    is_observable = classify_observability(initial_motion.fit, state.object.radius)[0].status in accepted_statuses
+    if is_observable:
+        known = initial_motion.estimate_pose(first.world_from_object, state.object.radius)
+        state = replace(state, motion=replace(state.motion, without_depth=known))
+    if not initial_motion.is_significant:
+        return state, None
     radius, current_pose = initial_motion.radius, initial_motion.motion * first.world_from_object
     motion = KnownMotion({first.number: first.world_from_object}, current_pose, radius)
     for camera, current, own in zip(context.cameras, frame.cameras, pairs, strict=True):
         # Boxes may contain more background than object.
         with_first = [pair for pair in own if pair.reference == first.number]
         camera.learn_background(with_first, current, motion)
-    accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
-    if classify_observability(initial_motion.fit, state.object.radius)[0].status not in accepted_statuses:
+    if not is_observable:
         return state, None
     # With two cameras a planar object has a second solution, which differs in each frame.
     if initial_motion.n_cameras == 2 and not is_continuing_motion(state.motion.first_motion, initial_motion.motion):
@@ -471,6 +496,25 @@ def _update_depth(
         model = replace(state.object, points=surface)
         camera.table.update(camera.reinitialize_landmarks(state.frames.first, camera.camera, model))
     return state, initial_motion
+
+
+def bound_pose(context: Context, state: JointState, length: float = 0.0) -> PoseEstimate:
+    """Return what is known of an object's pose if only the length by which its surface has moved since the first frame is.
+
+    A bottle that turns about its axis moves its surface little: the rotation that moves the surface by as much is larger.
+
+    Args:
+        length: length units; at least what is not detected.
+    """
+    pose, model = state.frames.first.world_from_object, state.object
+    distances = [camera.camera_from_world.apply(pose.translation)[2] / camera.focal for camera in context.rig]
+    length = max(length, STATIC_PX * float(np.median(np.abs(distances))))
+    points = pose.rotation.apply(model.points)
+    inertia = ((points**2).sum() * np.eye(3) - points.T @ points) / max(len(points), 1)
+    information = bound_information(model.radius)
+    information[:3, :3] += inertia / length**2
+    information[3:, 3:] += np.eye(3) / length**2
+    return PoseEstimate(pose, invert_information(information))
 
 
 def estimate_first_points(

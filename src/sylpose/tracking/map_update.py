@@ -11,9 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import enlarge_covariance, invert_information
-from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
-from sylpose.matches import STATIC_PX
+from sylpose.geometry.matrices import enlarge_covariance, invert_information, relative_rotvec
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
     MIN_KEPT_POOLED,
@@ -28,7 +26,7 @@ from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
 from sylpose.tracking.camera_side.frame import ReobservedFeatures, compute_full_weight_age, record_observations
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
-from sylpose.tracking.first_motion import OUTSIDE_REASON, is_mostly_outside
+from sylpose.tracking.first_motion import OUTSIDE_REASON, bound_pose, is_mostly_outside
 from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD
 from sylpose.tracking.joint_side.joint_state import (
     Anchor,
@@ -235,6 +233,12 @@ def _is_rig_contradicted(context: Context, state: JointState) -> bool:
 def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:
     """Return the covariance (6, 6) of (w, d) of a candidate's pose."""
     solution, pose, radius, first = candidate.solution, candidate.pose, state.object.radius, state.frames.first
+    if state.object.is_depth_guessed:
+        known = state.motion.without_depth or bound_pose(context, state)
+        # The guess biases the pose. Its difference from what is known without any depth may be an error of the guess.
+        moved = pose.translation - known.world_from_object.translation
+        error = np.concatenate([relative_rotvec(known.world_from_object, pose), moved])
+        return first.covariance + known.covariance + np.outer(error, error)
     if solution.is_static:  # the pose and its error are those of the last frame
         covariance = state.last.covariance if candidate.has_moved else first.covariance
     else:
@@ -250,11 +254,7 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
         if state.refinement.covariance is not None and not state.motion.n_missed:
             covariance = enlarge_covariance(covariance, state.refinement.covariance)
     if not candidate.has_moved:
-        covariance = covariance + _undetected_motion_covariance(context, pose, radius)
-    if state.object.is_depth_guessed:
-        # With all depths guessed, the mirrored rotation fits nearly as well: even the sign of the rotation is uncertain.
-        rotation = (pose.rotation * first.world_from_object.rotation.inv()).magnitude()
-        covariance = covariance + np.diag(np.repeat([(UNOBSERVABLE_RATIO * rotation) ** 2, 0.0], 3))
+        covariance = covariance + bound_pose(context, state).covariance
     return covariance
 
 
@@ -302,18 +302,6 @@ def measure_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     # Only as many as are needed: more of them would dilute the others' excess.
     n_added = max(0, min(n_silent, min_kept - len(kept)))
     return float(compute_f_ratio(np.append(kept, np.zeros(n_added)), len(agreements)))
-
-
-def _undetected_motion_covariance(context: Context, pose: RigidTransform, radius: float) -> FloatArray:
-    """Return the covariance (6, 6) of (w, d) of an undetected motion.
-
-    It applies while most features may be background, so that only a static scene is established.
-    """
-    pixel_sizes = np.array(
-        [camera.camera_from_world.apply(pose.translation)[2] / camera.focal for camera in context.rig]
-    )
-    translation = STATIC_PX * float(np.median(np.abs(pixel_sizes)))
-    return np.diag(np.repeat([(translation / radius) ** 2, translation**2], 3))
 
 
 def _compute_rotation_continuity(state: JointState, candidate: PoseCandidate) -> float:

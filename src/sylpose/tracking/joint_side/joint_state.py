@@ -483,6 +483,19 @@ class KnownMotion:
 
 
 @dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """A pose, and its uncertainty.
+
+    Attributes:
+        world_from_object: the pose.
+        covariance: (6, 6) of (w, d).
+    """
+
+    world_from_object: RigidTransform
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class ObjectMotion:
     """Motion of the object, and whether it is in view.
 
@@ -490,6 +503,7 @@ class ObjectMotion:
         velocity: motion model.
         has_moved: whether the object was ever observed to move against the static background.
         first_motion: motion since the first frame as of the last frame, while its depth is known from boxes only.
+        without_depth: what is known of the current frame's pose without any depth, while depth is guessed.
         n_missed: frames since the last solved one.
         is_lost: whether the predicted pose is no longer usable.
         is_background_only: whether in the current frame only features that never moved agreed with a pose.
@@ -500,6 +514,7 @@ class ObjectMotion:
     velocity: MotionModel = field(default_factory=MotionModel)
     has_moved: bool = False
     first_motion: RigidTransform | None = None
+    without_depth: PoseEstimate | None = None
     n_missed: int = 0
     is_lost: bool = False
     is_background_only: bool = False
@@ -692,7 +707,7 @@ class JointState:
         sd = np.sqrt(np.diag(covariance))
         is_certain = sd[:3].max() < MAX_ROTATION_SD and sd[3:].max() < self.object.radius
         is_lost = self.motion.is_lost or n_missed > options.max_coasting_frames or not is_certain
-        motion = replace(self.motion, n_missed=n_missed, is_lost=is_lost, is_background_only=False)
+        motion = replace(self.motion, n_missed=n_missed, is_lost=is_lost, is_background_only=False, without_depth=None)
         return replace(self, motion=motion, frames=replace(self.frames, next_anchor_number=None)), covariance
 
     def reset_to_first_frame(self, radius: float) -> JointState:
@@ -745,6 +760,14 @@ def compute_pose_change(last: SolvedFrame, refined_pose: RigidTransform) -> Floa
     return np.concatenate([relative_rotvec(before, refined_pose), refined_pose.translation - before.translation])
 
 
+def bound_information(radius: float) -> FloatArray:
+    """Return the information (6, 6) of (w, d) that bounds unobservable directions, for an object of a radius.
+
+    Matches never span half a turn or the object's size.
+    """
+    return np.diag(np.repeat([np.pi**-2, radius**-2], 3))
+
+
 def add_reference_covariance(
     information: FloatArray,
     world_from_object: RigidTransform,
@@ -777,9 +800,7 @@ def add_reference_covariance(
         rotation = rotation_matrix_of(world_from_object) @ rotation_matrix_of(known_frames[number].world_from_object).T
         cross = np.kron(np.eye(2), rotation)
         inherited += weight / total * (cross @ known_frames[number].covariance @ cross.T)
-    # Unobservable directions are bounded: matches never span half a turn or the object's size.
-    bound = np.repeat([np.pi**-2, radius**-2], 3)
-    own = invert_information(information + np.diag(bound))
+    own = invert_information(information + bound_information(radius))
     if not correlation:
         return own + inherited
     unit = np.repeat([1.0, 1.0 / radius], 3)
