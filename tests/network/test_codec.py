@@ -91,7 +91,7 @@ NUDGE = Nudge(1, 5, random_array(3), 0.01)
 JOINT = JointState(
     MODEL,
     KnownFrames(SOLVED, (SOLVED, SOLVED), (SOLVED,), Anchor(SOLVED, 3, True), 6),
-    ObjectMotion(VELOCITY, True, POSE, PoseEstimate(POSE, random_array(6, 6)), 2, False, True, POSE, 9),
+    ObjectMotion(VELOCITY, True, PoseEstimate(POSE, random_array(6, 6)), 2, False, True, POSE, 9),
     Refinement(random_array(6, 6), SOLVED, rests_on_prior=True),
     (NUDGE,),
 )
@@ -132,7 +132,7 @@ SAMPLES = [
     NUDGE,
     FrameAnnouncement(12, np.nan, (1, 3), False, True),
     JOINT.frames,
-    JOINT.motion.without_depth,
+    JOINT.motion.independent_pose,
     JOINT.motion,
     JOINT.refinement,
 ]

@@ -126,7 +126,9 @@ class FirstMotion:
         return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
 
     def measure_length(self, center: FloatArray) -> float:
-        """Return the median length by which moving matches at a center (3,) have moved; 0 with too few."""
+        """Measure the median displacement of moving matches at a center (3,): 0 with few of many, NaN with few at all."""
+        if self.failure_status is FrameStatus.TOO_FEW_MATCHES:
+            return np.nan
         reports = [report for own in self.moving for report in own]
         lengths = [r.displacement_px / r.term.focal * np.linalg.norm(r.term.center - center) for r in reports]
         moved = np.concatenate([np.empty(0), *lengths])
@@ -453,7 +455,7 @@ def _update_depth(
     first = state.frames.first
     initial_motion = estimate_first_motion(context, pairs, first.number)
     known = bound_pose(context, state, initial_motion.measure_length(first.world_from_object.translation))
-    state = replace(state, motion=replace(state.motion, without_depth=known))
+    state = replace(state, motion=replace(state.motion, independent_pose=known))
     # Something may pass by behind the object.
     is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
     is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
@@ -468,7 +470,7 @@ def _update_depth(
     is_observable = classify_observability(initial_motion.fit, state.object.radius)[0].status in accepted_statuses
     if is_observable:
         known = initial_motion.estimate_pose(first.world_from_object, state.object.radius)
-        state = replace(state, motion=replace(state.motion, without_depth=known))
+        state = replace(state, motion=replace(state.motion, independent_pose=known))
     if not initial_motion.is_significant:
         return state, None
     radius, current_pose = initial_motion.radius, initial_motion.motion * first.world_from_object
@@ -479,9 +481,6 @@ def _update_depth(
         camera.learn_background(with_first, current, motion)
     if not is_observable:
         return state, None
-    # With two cameras a planar object has a second solution, which differs in each frame.
-    if initial_motion.n_cameras == 2 and not is_continuing_motion(state.motion.first_motion, initial_motion.motion):
-        return replace(state, motion=replace(state.motion, first_motion=initial_motion.motion)), None
     if not state.object.is_depth_guessed:
         return state, initial_motion
     points = [
@@ -499,22 +498,24 @@ def _update_depth(
 
 
 def bound_pose(context: Context, state: JointState, length: float = 0.0) -> PoseEstimate:
-    """Return what is known of an object's pose if only the length by which its surface has moved since the first frame is.
+    """Bound an object's pose by the length that its surface has moved since the first frame.
 
-    A bottle that turns about its axis moves its surface little: the rotation that moves the surface by as much is larger.
+    The displacement is seen across the cameras' views. A bottle that turns about its axis moves its surface little: the
+    rotation that moves it so far is large.
 
     Args:
-        length: length units; at least what is not detected.
+        length: length units, at least what is detected; NaN if unknown: the object's radius.
     """
     pose, model = state.frames.first.world_from_object, state.object
-    distances = [camera.camera_from_world.apply(pose.translation)[2] / camera.focal for camera in context.rig]
-    length = max(length, STATIC_PX * float(np.median(np.abs(distances))))
-    points = pose.rotation.apply(model.points)
-    inertia = ((points**2).sum() * np.eye(3) - points.T @ points) / max(len(points), 1)
-    information = bound_information(model.radius)
-    information[:3, :3] += inertia / length**2
-    information[3:, 3:] += np.eye(3) / length**2
-    return PoseEstimate(pose, invert_information(information))
+    offsets = np.array([pose.translation - camera.center for camera in context.rig])
+    depths = [offset @ camera.rotation[2] / camera.focal for offset, camera in zip(offsets, context.rig, strict=True)]
+    length = max(length, STATIC_PX * float(np.median(np.abs(depths)))) if np.isfinite(length) else model.radius
+    views = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
+    across = np.eye(3) - views.T @ views / len(views)
+    points = pose.rotation.apply(model.points) if len(model.points) else np.zeros((1, 3))
+    jacobian = np.concatenate([-np.cross(np.eye(3), points[:, None]), np.tile(np.eye(3), (len(points), 1, 1))], axis=2)
+    information = np.einsum("nki,kl,nlj->ij", jacobian, across, jacobian) / (len(points) * length**2)
+    return PoseEstimate(pose, invert_information(information + bound_information(model.radius)))
 
 
 def estimate_first_points(

@@ -234,8 +234,8 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
     """Return the covariance (6, 6) of (w, d) of a candidate's pose."""
     solution, pose, radius, first = candidate.solution, candidate.pose, state.object.radius, state.frames.first
     if state.object.is_depth_guessed:
-        known = state.motion.without_depth or bound_pose(context, state)
-        # The guess biases the pose. Its difference from what is known without any depth may be an error of the guess.
+        known = state.motion.independent_pose or bound_pose(context, state, 0.0 if solution.is_static else np.nan)
+        # The guess biases the pose: its difference from what is known independently of it may be the guess's error.
         moved = pose.translation - known.world_from_object.translation
         error = np.concatenate([relative_rotvec(known.world_from_object, pose), moved])
         return first.covariance + known.covariance + np.outer(error, error)

@@ -502,8 +502,7 @@ class ObjectMotion:
     Attributes:
         velocity: motion model.
         has_moved: whether the object was ever observed to move against the static background.
-        first_motion: motion since the first frame as of the last frame, while its depth is known from boxes only.
-        without_depth: what is known of the current frame's pose without any depth, while depth is guessed.
+        independent_pose: the current frame's pose independently of guessed depths; None once depths are known.
         n_missed: frames since the last solved one.
         is_lost: whether the predicted pose is no longer usable.
         is_background_only: whether in the current frame only features that never moved agreed with a pose.
@@ -513,8 +512,7 @@ class ObjectMotion:
 
     velocity: MotionModel = field(default_factory=MotionModel)
     has_moved: bool = False
-    first_motion: RigidTransform | None = None
-    without_depth: PoseEstimate | None = None
+    independent_pose: PoseEstimate | None = None
     n_missed: int = 0
     is_lost: bool = False
     is_background_only: bool = False
@@ -689,7 +687,7 @@ class JointState:
         return replace(
             self,
             frames=self.frames.add(solved, options, has_new_features=has_new_features),
-            motion=ObjectMotion(velocity, has_moved, self.motion.first_motion),
+            motion=ObjectMotion(velocity, has_moved),
             is_feature_poor=is_poor,
         )
 
@@ -707,7 +705,9 @@ class JointState:
         sd = np.sqrt(np.diag(covariance))
         is_certain = sd[:3].max() < MAX_ROTATION_SD and sd[3:].max() < self.object.radius
         is_lost = self.motion.is_lost or n_missed > options.max_coasting_frames or not is_certain
-        motion = replace(self.motion, n_missed=n_missed, is_lost=is_lost, is_background_only=False, without_depth=None)
+        motion = replace(
+            self.motion, n_missed=n_missed, is_lost=is_lost, is_background_only=False, independent_pose=None
+        )
         return replace(self, motion=motion, frames=replace(self.frames, next_anchor_number=None)), covariance
 
     def reset_to_first_frame(self, radius: float) -> JointState:
