@@ -30,6 +30,18 @@ def test_usual_scenes_are_ok(kind: str) -> None:
     assert compute_ok_share(get_statuses(kind, 20)) >= 0.97
 
 
+@pytest.mark.parametrize(
+    ("kind", "seed", "suspect"),
+    [("y upwards", 9023, "cam_2"), ("x to the left", 9005, "cam_1"), ("row, column", 9019, "cam_2")],
+)
+def test_two_cameras_that_agree_are_no_proof(kind: str, seed: int, suspect: str) -> None:
+    """Of three with pixels along other axes two agree by chance, on a wrong motion."""
+    result = solve(make_problem(kind, seed))
+    assert result.status is Status.NOT_CONSISTENT
+    assert result.motion is None
+    assert f"those without {suspect} agree" in result.faults[0]
+
+
 @pytest.mark.parametrize("kind", ["copies, few", "copies, wrong 30 to 60 %", "pose, copies"])
 def test_duplicate_matches_are_no_new_evidence(kind: str) -> None:
     assert compute_ok_share(get_statuses(kind, 20, wrong=kind == "copies, wrong 30 to 60 %")) >= 0.6

@@ -27,6 +27,7 @@ from sylpose.relative_pose.camera_evidence import (
     MIN_MATCHES,
     MIN_REDUCTION,
     N_OWN,
+    compare_motions,
     compute_f_ratio,
     explains_as_well,
     measure_excess,
@@ -85,9 +86,29 @@ def solve_without_faulty_cameras(
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
     rejected[removed] = True
+    # Any two cameras nearly agree. One that sees no motion of its own is at fault, whatever the others see.
+    is_undecided = np.count_nonzero(~rejected) < MIN_KEPT_POOLED and any(
+        _sees_motion(data[k], solution) for k in removed
+    )
+    if is_undecided and _compute_least_f_ratio(data, solution) > MAX_F_RATIO:
+        suspects = ", ".join(names[term.camera] for term, reject in zip(data, rejected, strict=True) if reject)
+        text = (
+            f"the cameras see different motions; those without {suspects} agree, but any two cameras nearly do: check the "
+            f"calibration and the images, those of {suspects} first"
+        )
+        return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
     if rejected.any() and inliers.sum() >= MIN_AGREEING_SHARE * matches[~rejected].sum():
         fit = replace(fit, faults=_describe_faults(data, fit, rejected, removed, names))
     return agreement.solution._replace(fit=fit)
+
+
+def _sees_motion(term: TermData, solution: Solution) -> bool:
+    """Return whether a camera's own motion explains most of its matches, and is none of a frozen image."""
+    fit, px = solution.fit, term.focal * np.linalg.norm(term.y - term.x, axis=1)
+    n, *_ = compare_motions(
+        term.x, term.y, term.focal, *transfer_motion(term, solution.center, fit.rotation, fit.translation)
+    )
+    return bool(2 * n > len(term) and np.median(px) > MAX_STATIC_PX)
 
 
 def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
