@@ -482,7 +482,8 @@ def _update_depth(
     if not is_observable:
         return state, None
     if not state.object.is_depth_guessed:
-        return state, initial_motion
+        # Landmarks of known depth determine the motion better than the epipolar geometry of two cameras.
+        return state, None if initial_motion.n_cameras == 2 else initial_motion
     points = [
         quantize_positions(triangulate_inliers(camera.camera, inliers, first.world_from_object, current_pose), radius)
         for camera, inliers in zip(context.cameras, initial_motion.inliers, strict=True)
