@@ -481,9 +481,11 @@ def _update_depth(
         camera.learn_background(with_first, current, motion)
     if not is_observable:
         return state, None
+    # With two cameras a planar object has a second solution, which differs in each frame.
+    if initial_motion.n_cameras == 2 and not is_continuing_motion(state.motion.first_motion, initial_motion.motion):
+        return replace(state, motion=replace(state.motion, first_motion=initial_motion.motion)), None
     if not state.object.is_depth_guessed:
-        # Landmarks of known depth determine the motion better than the epipolar geometry of two cameras.
-        return state, None if initial_motion.n_cameras == 2 else initial_motion
+        return state, initial_motion
     points = [
         quantize_positions(triangulate_inliers(camera.camera, inliers, first.world_from_object, current_pose), radius)
         for camera, inliers in zip(context.cameras, initial_motion.inliers, strict=True)

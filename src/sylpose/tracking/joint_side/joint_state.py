@@ -502,6 +502,7 @@ class ObjectMotion:
     Attributes:
         velocity: motion model.
         has_moved: whether the object was ever observed to move against the static background.
+        first_motion: motion since the first frame as of the last frame, while its depth is known from boxes only.
         independent_pose: the current frame's pose independently of guessed depths; None once depths are known.
         n_missed: frames since the last solved one.
         is_lost: whether the predicted pose is no longer usable.
@@ -512,6 +513,7 @@ class ObjectMotion:
 
     velocity: MotionModel = field(default_factory=MotionModel)
     has_moved: bool = False
+    first_motion: RigidTransform | None = None
     independent_pose: PoseEstimate | None = None
     n_missed: int = 0
     is_lost: bool = False
@@ -687,7 +689,7 @@ class JointState:
         return replace(
             self,
             frames=self.frames.add(solved, options, has_new_features=has_new_features),
-            motion=ObjectMotion(velocity, has_moved),
+            motion=ObjectMotion(velocity, has_moved, self.motion.first_motion),
             is_feature_poor=is_poor,
         )
 
