@@ -39,7 +39,7 @@ def test_two_cameras_that_agree_are_no_proof(kind: str, seed: int, suspect: str)
     result = solve(make_problem(kind, seed))
     assert result.status is Status.NOT_CONSISTENT
     assert result.motion is None
-    assert f"those without {suspect} agree" in result.faults[0]
+    assert f"begin with {suspect}: the others agree" in result.faults[0]
 
 
 @pytest.mark.parametrize("kind", ["copies, few", "copies, wrong 30 to 60 %", "pose, copies"])

@@ -199,16 +199,14 @@ def test_pose_from_guessed_depths_has_its_covariance() -> None:
     assert errors[1:, 2:].max() < 3.0  # standard deviations
 
 
-def bound_rod(rig: Rig, length: float = 0.0) -> FloatArray:
-    """Return standard deviations (6,) of a rod's pose, with its axis along z, and the distance of its points from there."""
-    state, upright = (
-        make_bounded_state(rig),
-        RigidTransform.from_rotation(Rotation.from_rotvec([0.5 * np.pi, 0.0, 0.0])),
-    )
+def bound_rod(rig: Rig, displacement: float = 0.0) -> FloatArray:
+    """Return standard deviations (6,) of the pose of a rod along z that may have moved so far."""
+    state = make_bounded_state(rig)
+    upright = RigidTransform.from_rotation(Rotation.from_rotvec([0.5 * np.pi, 0.0, 0.0]))
     first = replace(state.frames.first, world_from_object=upright)
     state = replace(state, object=replace(state.object, points=ROD), frames=KnownFrames(first, (first,)))
     context = Context(rig, (), LocalExecutor(len(rig), 1), "landmarks", False, True, np.zeros(len(rig)), 0)
-    return np.asarray(np.sqrt(np.diag(bound_pose(context, state, length).covariance)))
+    return np.asarray(np.sqrt(np.diag(bound_pose(context, state, displacement).covariance)))
 
 
 ROD = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 3)) * [0.02, RADIUS, 0.02]

@@ -212,7 +212,7 @@ def test_epipolar_pose_has_its_covariance(executor: LocalExecutor, rig: Rig) -> 
 def test_displacement_of_the_surface(executor: LocalExecutor, rig: Rig) -> None:
     """Of moving matches; none of static ones, and unknown without matches."""
     of_object, of_room, of_nothing = (
-        estimate_motion(executor, rig, make_pairs(rig, bodies, room)).measure_length(AT)
+        estimate_motion(executor, rig, make_pairs(rig, bodies, room)).measure_displacement(AT)
         for bodies, room in (([OBJECT], 50), ([], 50), ([], 0))
     )
     shifts = [

@@ -182,10 +182,17 @@ def measure_excess(
     """
     excess, unadjusted = np.empty((2, len(data)))
     for k, term in enumerate(data):
-        usable = find_usable(term.x, term.y, term.focal)
-        motion = transfer_motion(term, center, rotation, translation)
-        *_, excess[k], unadjusted[k] = compare_motions(term.x[usable], term.y[usable], term.focal, *motion)
+        *_, excess[k], unadjusted[k] = compare_term(term, center, rotation, translation)
     return excess, unadjusted
+
+
+def compare_term(
+    term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> tuple[int, float, float, float, float]:
+    """Compare the own motion of a term with the joint one; see `measure_excess` and `compare_motions`."""
+    usable = find_usable(term.x, term.y, term.focal)
+    motion = transfer_motion(term, center, rotation, translation)
+    return compare_motions(term.x[usable], term.y[usable], term.focal, *motion)
 
 
 def measure_distances(term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from sylpose.relative_pose.camera_evidence import (
     MIN_MATCHES,
     MIN_REDUCTION,
     N_OWN,
-    compare_motions,
+    compare_term,
     compute_f_ratio,
     explains_as_well,
     measure_excess,
@@ -63,7 +63,8 @@ def solve_without_faulty_cameras(
     """Solve without the faulty cameras, each of which is named in `Fit.faults`.
 
     Fewer than half of the cameras are removed, none of two. If none explains that they contradict each other, the status is
-    NOT_CONSISTENT: wrong pixels or a wrong rig, of which each camera makes a motion of its own.
+    NOT_CONSISTENT: wrong pixels or a wrong rig, of which each camera makes a motion of its own; or fewer than three
+    agree while a removed one sees a motion.
 
     Args:
         data: the terms of the fit, one per camera, all in one reference frame.
@@ -76,26 +77,20 @@ def solve_without_faulty_cameras(
         return solution
     removed, agreement = _remove_cameras(data, solution, solve)
     fit = agreement.solution.fit
-    is_contradicted = not removed and agreement.worst > MAX_CONSISTENT_EXCESS
-    if is_contradicted and (f_ratio := _compute_least_f_ratio(data, agreement.solution)) > MAX_F_RATIO:
-        text = (
-            f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f}): check the "
-            "calibration, and that pixels are counted to the right and down from the upper left corner"
-        )
-        return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
     rejected[removed] = True
     # Any two cameras nearly agree. One that sees no motion of its own is at fault, whatever the others see.
-    is_undecided = np.count_nonzero(~rejected) < MIN_KEPT_POOLED and any(
+    is_unproven = np.count_nonzero(~rejected) < MIN_KEPT_POOLED and any(
         _sees_motion(data[k], solution) for k in removed
     )
-    if is_undecided and _compute_least_f_ratio(data, solution) > MAX_F_RATIO:
-        suspects = ", ".join(names[term.camera] for term, reject in zip(data, rejected, strict=True) if reject)
+    is_contradicted = is_unproven if removed else agreement.worst > MAX_CONSISTENT_EXCESS
+    if is_contradicted and (f_ratio := _compute_least_f_ratio(data, solution)) > MAX_F_RATIO:
+        suspects = ", ".join(names[data[k].camera] for k in removed)
         text = (
-            f"the cameras see different motions; those without {suspects} agree, but any two cameras nearly do: check the "
-            f"calibration and the images, those of {suspects} first"
-        )
+            f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f}): check the "
+            "calibration, and that pixels are counted to the right and down from the upper left corner"
+        ) + (f"; begin with {suspects}: the others agree, as any two cameras nearly do" if removed else "")
         return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
     if rejected.any() and inliers.sum() >= MIN_AGREEING_SHARE * matches[~rejected].sum():
         fit = replace(fit, faults=_describe_faults(data, fit, rejected, removed, names))
@@ -103,12 +98,10 @@ def solve_without_faulty_cameras(
 
 
 def _sees_motion(term: TermData, solution: Solution) -> bool:
-    """Return whether a camera's own motion explains most of its matches, and is none of a frozen image."""
-    fit, px = solution.fit, term.focal * np.linalg.norm(term.y - term.x, axis=1)
-    n, *_ = compare_motions(
-        term.x, term.y, term.focal, *transfer_motion(term, solution.center, fit.rotation, fit.translation)
-    )
-    return bool(2 * n > len(term) and np.median(px) > MAX_STATIC_PX)
+    """Return whether a camera's images differ, and one motion of its own explains most of its matches."""
+    n, *_ = compare_term(term, solution.center, solution.fit.rotation, solution.fit.translation)
+    displacement_px = term.focal * np.linalg.norm(term.y - term.x, axis=1)
+    return bool(2 * n > len(term) and np.median(displacement_px) > MAX_STATIC_PX)
 
 
 def _is_small(data: Sequence[TermData], fit: Fit) -> bool:

@@ -125,8 +125,12 @@ class FirstMotion:
         """Motion of the object since the frame."""
         return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
 
-    def measure_length(self, center: FloatArray) -> float:
-        """Measure the median displacement of moving matches at a center (3,): 0 with few of many, NaN with few at all."""
+    def measure_displacement(self, center: FloatArray) -> float:
+        """Measure the median displacement of moving matches in space, if they are as far away as a center (3,).
+
+        Returns:
+            length units; 0 if almost all matches are static; NaN if there are too few matches to know.
+        """
         if self.failure_status is FrameStatus.TOO_FEW_MATCHES:
             return np.nan
         reports = [report for own in self.moving for report in own]
@@ -135,7 +139,12 @@ class FirstMotion:
         return float(np.median(moved)) if len(moved) >= MIN_MATCHES else 0.0
 
     def estimate_pose(self, first_pose: RigidTransform, radius: float) -> PoseEstimate:
-        """Estimate the pose from that in the first frame (world_from_object), of an object of a radius."""
+        """Estimate the object's pose, with the covariance of this motion.
+
+        Args:
+            first_pose: world_from_object in the frame since which it is; exact.
+            radius: of the object; bounds what is not observable.
+        """
         pose = self.motion * first_pose
         shift = pose.translation - self.center - self.fit.translation
         jacobian = np.eye(6)
@@ -454,8 +463,9 @@ def _update_depth(
     """
     first = state.frames.first
     initial_motion = estimate_first_motion(context, pairs, first.number)
-    known = bound_pose(context, state, initial_motion.measure_length(first.world_from_object.translation))
-    state = replace(state, motion=replace(state.motion, independent_pose=known))
+    if state.object.is_depth_guessed:
+        known = bound_pose(context, state, initial_motion.measure_displacement(first.world_from_object.translation))
+        state = replace(state, motion=replace(state.motion, independent_pose=known))
     # Something may pass by behind the object.
     is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
     is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
@@ -468,7 +478,7 @@ def _update_depth(
         return state, None  # all later frames would build on it
     accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     is_observable = classify_observability(initial_motion.fit, state.object.radius)[0].status in accepted_statuses
-    if is_observable:
+    if is_observable and state.object.is_depth_guessed:
         known = initial_motion.estimate_pose(first.world_from_object, state.object.radius)
         state = replace(state, motion=replace(state.motion, independent_pose=known))
     if not initial_motion.is_significant:
@@ -500,24 +510,25 @@ def _update_depth(
     return state, initial_motion
 
 
-def bound_pose(context: Context, state: JointState, length: float = 0.0) -> PoseEstimate:
-    """Bound an object's pose by the length that its surface has moved since the first frame.
+def bound_pose(context: Context, state: JointState, displacement: float = 0.0) -> PoseEstimate:
+    """Bound an object's pose by the displacement of its surface since the first frame, of unknown direction.
 
     The displacement is seen across the cameras' views. A bottle that turns about its axis moves its surface little: the
     rotation that moves it so far is large.
 
     Args:
-        length: length units, at least what is detected; NaN if unknown: the object's radius.
+        displacement: length units; the smallest one that is detected, if it is less; NaN if unknown: the object's radius.
     """
     pose, model = state.frames.first.world_from_object, state.object
     offsets = np.array([pose.translation - camera.center for camera in context.rig])
-    depths = [offset @ camera.rotation[2] / camera.focal for offset, camera in zip(offsets, context.rig, strict=True)]
-    length = max(length, STATIC_PX * float(np.median(np.abs(depths)))) if np.isfinite(length) else model.radius
-    views = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
+    distances = np.linalg.norm(offsets, axis=1)
+    least = STATIC_PX * float(np.median(distances / [camera.focal for camera in context.rig]))
+    size = model.radius if np.isnan(displacement) else max(displacement, least)
+    views = offsets / distances[:, None]
     across = np.eye(3) - views.T @ views / len(views)
     points = pose.rotation.apply(model.points) if len(model.points) else np.zeros((1, 3))
     jacobian = np.concatenate([-np.cross(np.eye(3), points[:, None]), np.tile(np.eye(3), (len(points), 1, 1))], axis=2)
-    information = np.einsum("nki,kl,nlj->ij", jacobian, across, jacobian) / (len(points) * length**2)
+    information = np.einsum("nki,kl,nlj->ij", jacobian, across, jacobian) / (len(points) * size**2)
     return PoseEstimate(pose, invert_information(information + bound_information(model.radius)))
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import enlarge_covariance, invert_information, relative_rotvec
+from sylpose.geometry.matrices import enlarge_covariance, invert_information
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
     MIN_KEPT_POOLED,
@@ -33,6 +33,7 @@ from sylpose.tracking.joint_side.joint_state import (
     JointState,
     SolvedFrame,
     add_reference_covariance,
+    compute_pose_change,
     compute_viewpoints,
 )
 from sylpose.tracking.options import TrackingOptions
@@ -236,8 +237,7 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
     if state.object.is_depth_guessed:
         known = state.motion.independent_pose or bound_pose(context, state, 0.0 if solution.is_static else np.nan)
         # The guess biases the pose: its difference from what is known independently of it may be the guess's error.
-        moved = pose.translation - known.world_from_object.translation
-        error = np.concatenate([relative_rotvec(known.world_from_object, pose), moved])
+        error = compute_pose_change(known.world_from_object, pose)
         return first.covariance + known.covariance + np.outer(error, error)
     if solution.is_static:  # the pose and its error are those of the last frame
         covariance = state.last.covariance if candidate.has_moved else first.covariance

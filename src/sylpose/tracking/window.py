@@ -107,7 +107,7 @@ def apply_refinement(context: Context, state: JointState) -> JointState:
     refinement = replace(refinement, rests_on_prior=bool(bundled.rests_on_prior[at]))
     state = replace(state, refinement=refinement)
     last, refined_to = frames[at], bundled.world_from_object[at]
-    change = compute_pose_change(last, refined_to)
+    change = compute_pose_change(last.world_from_object, refined_to)
     is_near = (
         np.linalg.norm(change[:3]) < MAX_ROTATION_CHANGE
         and np.linalg.norm(change[3:]) < MAX_START_TRANSLATION * state.object.radius

@@ -503,7 +503,7 @@ class ObjectMotion:
         velocity: motion model.
         has_moved: whether the object was ever observed to move against the static background.
         first_motion: motion since the first frame as of the last frame, while its depth is known from boxes only.
-        independent_pose: the current frame's pose independently of guessed depths; None once depths are known.
+        independent_pose: what is known of the current frame's pose without guessed depths, while depths are guessed.
         n_missed: frames since the last solved one.
         is_lost: whether the predicted pose is no longer usable.
         is_background_only: whether in the current frame only features that never moved agreed with a pose.
@@ -741,7 +741,10 @@ class JointState:
             return False
         if before is None or last.number - self.frames.first.number <= MIN_FRAMES_TO_APPLY:
             return True
-        change, since = compute_pose_change(before, last.world_from_object), last.number - before.number
+        change, since = (
+            compute_pose_change(before.world_from_object, last.world_from_object),
+            last.number - before.number,
+        )
         is_new = np.linalg.norm(change[:3]) > options.min_refinement_rotation
         return since >= MAX_INTERVAL or (since >= MIN_INTERVAL and bool(is_new))
 
@@ -756,10 +759,9 @@ def is_mostly_moving(agreements: Agreements) -> bool:
     return any(a.n_moved >= MIN_MATCHES and 2 * a.n_moved > a.n_matches for a in agreements)
 
 
-def compute_pose_change(last: SolvedFrame, refined_pose: RigidTransform) -> FloatArray:
-    """Return the change (6,) (w, d) of a frame's pose by the refinement."""
-    before = last.world_from_object
-    return np.concatenate([relative_rotvec(before, refined_pose), refined_pose.translation - before.translation])
+def compute_pose_change(before: RigidTransform, after: RigidTransform) -> FloatArray:
+    """Return the change (6,) (w, d) of a pose."""
+    return np.concatenate([relative_rotvec(before, after), after.translation - before.translation])
 
 
 def bound_information(radius: float) -> FloatArray:
