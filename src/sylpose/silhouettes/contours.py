@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.signal import correlate
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, FloatImage, IntArray
@@ -360,8 +359,8 @@ def measure_correlation(
         for number in np.unique(contour.part):
             x, is_used = scored[contour.part == number], (weight[contour.part == number] > 0).astype(float)
             n = len(x)
-            products[:n] += correlate(x, x)[n - 1 :]
-            counts[:n] += correlate(is_used, is_used)[n - 1 :]
+            products[:n] += np.correlate(x, x, "full")[n - 1 :]
+            counts[:n] += np.correlate(is_used, is_used, "full")[n - 1 :]
     covariance = products / np.maximum(counts, 1.0)
     relative = covariance[1 : longest // 4] / max(covariance[0], 1e-300)
     below = np.flatnonzero(relative <= 0)
