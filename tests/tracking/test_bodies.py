@@ -24,6 +24,7 @@ from sylpose.tracking.bodies import (
     compare_cameras,
     find_candidates,
     find_rigid_motion,
+    open_search,
     reduce_frame_set,
     select_windows,
 )
@@ -105,6 +106,20 @@ def test_images_are_reduced_unless_masks_select_a_part() -> None:
     assert 0.99 * MAX_PIXELS < reduced.size <= MAX_PIXELS
     assert kept is image
     assert missing is None
+
+
+def test_features_of_a_frame_set_are_detected_once() -> None:
+    """Windows overlap. Their frames share the features, but not what is known of the background since their first ones."""
+    clip = render("late")
+    images = clip.frames()[0]
+    with open_search(clip.rig) as search:
+        first, again = search.detect_frame(0, images), search.detect_frame(8, images)
+        faint = search.detect_frame(0, images, faint=True)
+    assert (first.number, again.number) == (0, 8)
+    for a, b, more in zip(first.cameras, again.cameras, faint.cameras, strict=True):
+        assert a.features is b.features
+        assert a.background is not b.background
+        assert len(more.features) > len(a.features)
 
 
 def test_part_of_a_body_is_no_other_body() -> None:

@@ -6,12 +6,10 @@ a motion that was found under the given rig are used, since both are wrong if th
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import partial
 from heapq import nlargest
 from itertools import pairwise
 from typing import NamedTuple
@@ -40,13 +38,12 @@ from sylpose.relative_pose.rig_hypotheses import (
     select_explanations,
     summarize,
 )
-from sylpose.rig import Rig, intersect_rays
+from sylpose.rig import Camera, Rig, intersect_rays
 from sylpose.runs.candidates import ReadFrames, list_frames, read_windows
 from sylpose.runs.options import RunOptions
-from sylpose.tracking.bodies import GAPS, MAX_PIXELS, N_WINDOWS, find_rigid_motion, reduce_frame_set
-from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.bodies import GAPS, N_WINDOWS, find_rigid_motion, open_search, reduce_frame_set
 from sylpose.tracking.camera_side.frame import CameraFrame, match_frames
-from sylpose.tracking.context import LocalExecutor
+from sylpose.tracking.context import Frame
 from sylpose.tracking.options import TrackingOptions
 from sylpose.units import METERS
 
@@ -255,17 +252,15 @@ def collect_motion(rig: Rig, windows: Iterable[Sequence[FrameSet]]) -> MotionEvi
 
     A pair is the first frame of a window and one in which what moves has moved by `MIN_MOTION`, or else the best of `GAPS`.
     """
-    cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
     chosen, sees_motion, gap = list[_TriedPair](), np.zeros(len(rig), bool), 0
     shown = dict[int, list[bool]]()
-    with closing(_make_executor(rig)) as executor:
+    with open_search(rig) as context:
         for frames in filter(len, windows):
             shown |= {images.index: [image is not None for image in images.images] for images in frames}
-            first, tried = executor.run(partial(_detect, frames[0]), cameras), list[_TriedPair]()
+            first, tried = context.detect_frame(frames[0].index, frames[0]), list[_TriedPair]()
             # What moves slowly does not become fast at once.
             for last in (frames[g] for g in GAPS if gap <= 2 * g < 2 * len(frames)):
-                current = executor.run(partial(_detect, last), cameras)
-                tried.append(_measure(cameras, (frames[0].index, last.index), first, current))
+                tried.append(_measure(rig, first, context.detect_frame(last.index, last)))
                 sees_motion |= [len(x) > 0 for x, _ in tried[-1].pair]
                 if tried[-1].motion >= MIN_MOTION:
                     break
@@ -304,38 +299,21 @@ class _TriedPair(NamedTuple):
     information: float
 
 
-def _make_executor(rig: Rig) -> LocalExecutor:
-    return LocalExecutor(len(rig), min(len(rig), os.cpu_count() or 1))
-
-
-def _detect(images: FrameSet, camera: CameraTracker) -> CameraFrame:
-    max_features = TrackingOptions.max_start_features
-    features = camera.detect(camera.view_of(images), None, max_features, max_pixels=MAX_PIXELS)
-    return camera.create_frame(features)
-
-
-def _measure(
-    cameras: Sequence[CameraTracker],
-    frames: tuple[int, int],
-    first: Sequence[CameraFrame],
-    second: Sequence[CameraFrame],
-) -> _TriedPair:
+def _measure(rig: Rig, first: Frame, second: Frame) -> _TriedPair:
     """Match two frames and measure the motion between them."""
-    matched = [
-        _match_moving(camera, frames[0], *own)
-        for camera, own in zip(cameras, zip(first, second, strict=True), strict=True)
-    ]
+    sides = zip(rig, first.cameras, second.cameras, strict=True)
+    matched = [_match_moving(camera, first.number, *own) for camera, *own in sides]
     motion, information = [0.0, 0.0], [0.0, 0.0]
-    for camera, ((x, y), _) in zip(cameras, matched, strict=True):
+    for camera, ((x, y), _) in zip(rig, matched, strict=True):
         if len(x):
-            motion.append(float(np.median(np.linalg.norm(y - x, axis=1)) / np.hypot(*camera.camera.size)))
+            motion.append(float(np.median(np.linalg.norm(y - x, axis=1)) / np.hypot(*camera.size)))
             information.append(len(x) * motion[-1] ** 2)
     pair, static = [matches for matches, _ in matched], [pixels for _, pixels in matched]
-    return _TriedPair(frames, pair, static, sorted(motion)[-2], sorted(information)[-2])
+    return _TriedPair((first.number, second.number), pair, static, sorted(motion)[-2], sorted(information)[-2])
 
 
 def _match_moving(
-    camera: CameraTracker, number: int, first: CameraFrame, second: CameraFrame
+    camera: Camera, number: int, first: CameraFrame, second: CameraFrame
 ) -> tuple[CameraMatches, FloatArray]:
     """Match what moves between two frames of a camera.
 
@@ -343,7 +321,7 @@ def _match_moving(
         the matches, none if they are mismatches or displaced by little; pixels (m, 2) of static features.
     """
     pair = match_frames(number, first, second)
-    is_static, is_rigid = find_rigid_motion(camera.camera, pair, TrackingOptions())
+    is_static, is_rigid = find_rigid_motion(camera, pair, TrackingOptions())
     moving = pair.subset(~is_static if is_rigid else np.zeros(len(pair), bool))
     return (moving.pixels_i, moving.pixels_j), pair.pixels_i[is_static]
 
@@ -352,17 +330,14 @@ def _match_shifted(
     rig: Rig, numbers: range, read: ReadFrames, frames: Sequence[tuple[int, int]], lags: Sequence[int]
 ) -> dict[int, list[FramePair]]:
     """Match what moves between the same frames, all later by a lag; without matches where there are no such frames."""
-    cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
     wanted = {k + lag for pair in frames for k in pair for lag in lags}
     available = sorted(k for k in wanted if numbers.start <= k < numbers.stop)
-    with closing(_make_executor(rig)) as executor, closing(read(available)) as reader:
-        detected = {
-            images.index: executor.run(partial(_detect, reduce_frame_set(images)), cameras) for images in reader
-        }
+    with open_search(rig) as context, closing(read(available)) as reader:
+        detected = {images.index: context.detect_frame(images.index, reduce_frame_set(images)) for images in reader}
     nothing = [(np.empty((0, 2)), np.empty((0, 2)))] * len(rig)
     return {
         lag: [
-            _measure(cameras, (i + lag, j + lag), detected[i + lag], detected[j + lag]).pair
+            _measure(rig, detected[i + lag], detected[j + lag]).pair
             if i + lag in detected and j + lag in detected
             else nothing
             for i, j in frames

@@ -12,13 +12,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import isqrt
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from sylpose.features.sift import match_features, reduce_image
+from sylpose.features.sift import Features, match_features, reduce_image
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.methods import METHODS
@@ -73,6 +74,27 @@ MAX_DISTANCE_RATIO = 2.5
 # A camera's matches are mismatches unless most of them have common affine epipolar lines, within this share of the
 # image's diagonal (choice).
 RIGID_TOLERANCE = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class SearchContext(Context):
+    """Settings and components of a search. Its windows overlap: the features of a frame set are detected once.
+
+    Attributes:
+        known: by frame set, normal and faint: per camera, local: its features.
+    """
+
+    known: WeakKeyDictionary[FrameSet, dict[bool, Sequence[Features]]] = field(default_factory=WeakKeyDictionary)
+
+    def detect_frame(self, number: int, images: FrameSet, *, faint: bool = False) -> Frame:
+        """Create a frame with the features of the whole images, without these: those of all windows are kept."""
+        known = self.known.setdefault(images, {})
+        if faint not in known:
+            n = self.options.max_start_features
+            known[faint] = self.detect_everywhere(images, n, faint=faint, max_pixels=MAX_PIXELS)
+        nothing = (None,) * len(images.images)
+        frame = self.create_frame(number, replace(images, images=nothing, masks=nothing))
+        return self.with_features(frame, known[faint])
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +203,7 @@ def find_candidates(
     Returns:
         by decreasing number of matches; empty if nothing moves as a rigid body.
     """
-    with _open_context(rig, time_offsets, seed, workers, options) as context:
+    with open_search(rig, time_offsets, seed, workers, options) as context:
         found, with_faint, gap = list[Window](), list[Window](), GAPS[0]
         for frames in filter(len, windows):
             window, gap = _search_window(context, frames, gap)
@@ -194,7 +216,7 @@ def find_candidates(
         return candidates
 
 
-def _search_faint(context: Context, window: Window, frames: Sequence[FrameSet]) -> Window:
+def _search_faint(context: SearchContext, window: Window, frames: Sequence[FrameSet]) -> Window:
     """Search a window in which one body is found once more, with faint features as well.
 
     Of a plain object that a person holds there may be no others, and the person would be tracked. Faint features are no
@@ -203,7 +225,7 @@ def _search_faint(context: Context, window: Window, frames: Sequence[FrameSet]) 
     if len(window.bodies) != 1:
         return window
     (body,) = window.bodies
-    first, last = (_detect(context, k, frames[k], faint=True) for k in (0, body.last.number))
+    first, last = (context.detect_frame(k, frames[k], faint=True) for k in (0, body.last.number))
     bodies = [WindowBody(last, motion) for motion in find_bodies(context, _match(context, first, last), 0)]
     return Window(first, bodies, window.f_ratio)
 
@@ -228,13 +250,13 @@ def compare_cameras(
     Returns:
         the F ratio pooled over the later frames, see `pool_f_ratios`; NaN unless it is known for several.
     """
-    with _open_context(rig, time_offsets, 0, workers, options) as context:
+    with open_search(rig, time_offsets, 0, workers, options) as context:
         gaps = [gap for gap in GAPS if gap < len(frames)]
         if not gaps:
             return np.nan
-        first, ratios = _detect(context, 0, frames[0], faint=False), list[float]()
+        first, ratios = context.detect_frame(0, frames[0]), list[float]()
         for gap in gaps:
-            last = _detect(context, gap, frames[gap], faint=False)
+            last = context.detect_frame(gap, frames[gap])
             pairs = _match(context, first, last)
             if boxes:
                 local = [rig.cameras[c] for c in context.executor.local]
@@ -256,15 +278,19 @@ def _select_boxed(pairs: Sequence[FrameMatches], box: Box | None) -> list[FrameM
 
 
 @contextmanager
-def _open_context(
-    rig: Rig, time_offsets: FloatArray | None, seed: int, workers: int | None, options: TrackingOptions | None
-) -> Iterator[Context]:
-    """Create cameras for a search, on worker threads of its own."""
+def open_search(
+    rig: Rig,
+    time_offsets: FloatArray | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    options: TrackingOptions | None = None,
+) -> Iterator[SearchContext]:
+    """Create cameras for a search, on worker threads of its own. See `find_candidates`."""
     offsets = np.zeros(len(rig)) if time_offsets is None else time_offsets
     executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
     try:
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-        yield Context(rig, cameras, executor, METHODS[0], True, True, offsets, seed, options or TrackingOptions())
+        yield SearchContext(rig, cameras, executor, METHODS[0], True, True, offsets, seed, options or TrackingOptions())
     finally:
         executor.close()
 
@@ -314,7 +340,7 @@ def _collect_indices(pairs: Sequence[FrameMatches], side: int) -> IntArray:
     return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, side] for pair in pairs)])
 
 
-def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tuple[Window, int]:
+def _search_window(context: SearchContext, frames: Sequence[FrameSet], gap: int) -> tuple[Window, int]:
     """Find the bodies of a window over the time that shows most of a second one, else the longest with enough matches.
 
     Over a short time two bodies differ too little to be separated, over a long one their features change.
@@ -325,7 +351,7 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     Returns:
         the window; the number of frames for the next one.
     """
-    first, best = _detect(context, 0, frames[0], faint=False), list[WindowBody]()
+    first, best = context.detect_frame(0, frames[0]), list[WindowBody]()
     best_gap, max_matches, max_others = gap, 0, 0
     best_pairs: CameraPairs = ()
     gap = min(gap, max(len(frames) - 1, GAPS[0]))
@@ -333,7 +359,7 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     for g in (g for g in gaps if g < len(frames)):
         if g < gap and best:
             break
-        last = _detect(context, g, frames[g], faint=False)
+        last = context.detect_frame(g, frames[g])
         pairs = _match(context, first, last)
         motions = find_bodies(context, pairs, 0)
         n = sum(motion.n_inliers for motion in motions)
@@ -410,14 +436,6 @@ def reduce_frame_set(frames: FrameSet) -> FrameSet:
         for image, mask in zip(frames.images, frames.masks, strict=True)
     )
     return replace(frames, images=tuple(images))
-
-
-def _detect(context: Context, number: int, images: FrameSet, *, faint: bool) -> Frame:
-    """Create a frame with the features of the whole images, without these: those of all windows are kept."""
-    features = context.detect_everywhere(images, context.options.max_start_features, faint=faint, max_pixels=MAX_PIXELS)
-    nothing = (None,) * len(images.images)
-    frame = context.create_frame(number, replace(images, images=nothing, masks=nothing))
-    return context.with_features(frame, features)
 
 
 def _match(context: Context, first: Frame, last: Frame) -> list[list[FrameMatches]]:

@@ -422,7 +422,8 @@ class Tracker(TrackerBase):
             )
             self._context = replace(context, f_ratio=f_ratio)
             return
-        windows = ([_number(frames[k], k) for k in window] for window in select_windows(len(frames)))
+        numbered = list(map(_number, frames, range(len(frames))))
+        windows = (numbered[window.start : window.stop] for window in select_windows(len(frames)))
         candidates = find_candidates(
             self._rig, windows, time_offsets=offsets, seed=context.seed, workers=workers, options=context.options
         )
