@@ -207,6 +207,15 @@ POSES: dict[str, Kind] = {
 }
 
 
+def _count_along(camera: Camera, points: FloatArray, axes: tuple[Span, Span] | None) -> FloatArray:
+    """Return the normalized points (n, 2) that a camera takes others for whose pixels are counted along other axes."""
+    if axes is None:
+        return points
+    directions = np.array(axes)
+    first = np.where(directions.sum(axis=1) < 0.0, np.array(camera.size) - 1.0, 0.0)
+    return camera.normalize(camera.denormalize(points) @ directions.T + first)
+
+
 def make_problem(name: str, seed: int) -> Problem:
     """Make scene number `seed` of a kind, the same in every run."""
     kind = MOTIONS[name] if name in MOTIONS else POSES[name]
@@ -240,8 +249,10 @@ def make_problem(name: str, seed: int) -> Problem:
     if name in POSES:
         return _make_pose_problem(kind, rig, true_rig, pair, start, body.radius, rng, faulty_camera)
     selected = [_select_matches(kind, len(m), rng) for m in pair.matches]
-    axes = np.array(kind.axes or np.eye(2)).T
-    matches = tuple(Matches(m.x[k] @ axes, m.y[k] @ axes) for m, k in zip(pair.matches, selected, strict=True))
+    matches = tuple(
+        Matches(*(_count_along(camera, points[k], kind.axes) for points in (m.x, m.y)))
+        for camera, m, k in zip(rig, pair.matches, selected, strict=True)
+    )
     is_outlier = [w[k] for w, k in zip(pair.is_outlier, selected, strict=True)]
     share = sum(w.sum() for w in is_outlier) / max(sum(map(len, is_outlier)), 1)
     truths: tuple[RigidTransform, ...] = (motion,)

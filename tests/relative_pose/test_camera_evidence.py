@@ -292,3 +292,27 @@ def test_evidence_needs_matches_and_cameras() -> None:
     excess = np.array([12.0, 8.0, 1e6])
     assert compute_f_ratio(excess, 3) > 1e5
     assert compute_f_ratio(np.append(excess, 12.0), 3) == pytest.approx(32.0 / 9.0)
+
+
+def test_own_motion_is_not_trimmed_to_a_few_matches() -> None:
+    """It explains nearly all matches of a camera that sees one motion, and the noise about it is theirs."""
+    for seed in range(40):
+        rig, matches, motion = make_pair(4, seed)
+        for term in make_terms(rig, matches):
+            own = measure_evidence(term, np.zeros(3), motion.rotation.as_matrix(), motion.translation)
+            assert own.n > 0.8 * len(term)
+            assert 0.5 * NOISE_PX < own.own_px < 2.0 * NOISE_PX
+
+
+@pytest.mark.parametrize("share", [0.4, 0.45])
+def test_another_body_with_more_matches_is_no_contradiction(share: float) -> None:
+    excess = []
+    for seed in range(12):
+        rig, matches, motion = make_pair(2, seed)
+        _, others, _ = make_pair(2, seed + 100)
+        for term, other in zip(make_terms(rig, matches), make_terms(rig, others), strict=True):
+            n = round(len(term) * share / (1.0 - share))
+            mixed = replace(term, x=np.vstack([term.x[:n], other.x]), y=np.vstack([term.y[:n], other.y]))
+            found = measure_evidence(mixed, np.zeros(3), motion.rotation.as_matrix(), motion.translation)
+            excess.append(found.excess)
+    assert np.mean(np.array(excess) > 20.0) <= 0.1

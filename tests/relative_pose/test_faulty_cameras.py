@@ -80,8 +80,8 @@ def test_wrong_calibration_is_named_and_removed(cameras: int, angle: float) -> N
         ratios.append(compute_rotation_degrees(compute_motion_error(pair, found)) / compute_error_of_others(rig, pair))
         named += is_only_bad_named(found, rig)
     assert np.median(ratios) < (2.0 if angle > 5 else 4.0)
-    # Fewest with few cameras; the figures are regression values.
-    assert named >= {5.0: 4, 10.0: 4}.get(angle, 6)
+    # Fewest with few cameras: by 5 degrees, the others often agree without a healthy camera as well. Regression values.
+    assert named >= {5.0: 2, 10.0: 4}.get(angle, 6)
 
 
 @pytest.mark.parametrize("cameras", [3, 4, 6])
@@ -179,6 +179,10 @@ def test_pixels_along_other_axes_are_never_wrong_and_ok(count: int, signs: tuple
         assert estimate_motion(rig, pair.matches).status is Status.OK
         statuses.add(found.status)
         if found.status is Status.NOT_CONSISTENT and found.faults:
-            assert "right and down from the upper left corner" in found.faults[0]
+            causes = (
+                "right and down from the upper left corner",
+                "mirrored" if signs[0] < 0 else "flipped vertically",
+            )
+            assert any(cause in found.faults[0] for cause in causes)
     assert Status.OK not in statuses
     assert Status.NOT_CONSISTENT in statuses

@@ -17,7 +17,8 @@ the image (edges along which features slide, a mask, compression) are fewer meas
 divided by the design effect of the camera's own residuals.
 
 The own fit is one of least trimmed squares that begins with the matches that the joint motion explains best. Another body
-may have more matches; that is no contradiction while the object's matches agree.
+may have more matches; that is no contradiction while the object's matches agree. Once converged, it begins again with more
+of them: a fit to the best ones may be trimmed to their errors.
 
 Source: G. C. Chow, Econometrica 28, 1960 (the test); R. T. Birge, Phys. Rev. 40, 1932 (the ratio of external to internal
 consistency); P. J. Rousseeuw and K. Van Driessen, Data Mining and Knowledge Discovery 12, 2006 (concentration steps);
@@ -31,6 +32,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
@@ -57,6 +59,8 @@ MIN_SIGMA_PX = 0.05
 # A camera's own motion begins with 1 of so many matches, those that the joint motion explains best: where other things move,
 # too, the object may have as few (choice). Its inliers are within so many standard deviations (choice).
 MIN_SHARE, MAX_SIGMAS = 3, 3.0
+# Standard deviation of normal residuals of which this share is smaller than 1 (derived).
+SIGMA_OF_SHARE = 1.0 / float(ndtri(0.5 + 0.5 / MIN_SHARE))
 # A motion that moves the camera relative to the object by less than this share of its distance has no epipolar geometry:
 # every match would fit (derived: far below the smallest measurable motion).
 MIN_BASELINE = 1e-4
@@ -229,14 +233,26 @@ def _measure_excess(
 ) -> tuple[int, float, float, float, float]:
     """Fit a camera's own motion, beginning with the weighted matches; return what `compare_motions` does."""
     residuals, before, damping = np.empty(len(x)), np.empty(len(x)), 1e-3
+    is_widened, narrow = False, own
+    narrow_rotation, narrow_translation = own_rotation, own_translation
     for _ in range(MAX_ROUNDS):
         damping, has_converged = _fit_motion(x, y, own, own_rotation, own_translation, damping)
         before[:] = own
-        if not _trim(x, y, focal, own, own_rotation, own_translation, residuals):
+        if not _trim(x, y, focal, own, own_rotation, own_translation, residuals, False):
+            if is_widened:
+                break
             return 0, np.nan, np.nan, np.nan, np.nan
         if has_converged and (own == before).all():
-            break
+            if is_widened:
+                break
+            # It may be trimmed to the errors of a few matches.
+            narrow, narrow_rotation, narrow_translation = own.copy(), own_rotation.copy(), own_translation.copy()
+            is_widened = _trim(x, y, focal, own, own_rotation, own_translation, residuals, True)
     own[:] = before
+    if dot(own, narrow) < KEPT_SHARE * narrow.sum():
+        # Another body has more matches.
+        own[:] = narrow
+        _compute_residuals(x, y, focal, narrow_rotation, narrow_translation, residuals)
     count, squares = 0, 0.0
     for i in range(len(x)):
         if own[i] > 0.0:
@@ -398,19 +414,27 @@ def _trim(
     rotation: FloatArray,
     translation: FloatArray,
     residuals: FloatArray,
+    is_widened: bool,
 ) -> bool:
-    """Set weights (n,): matches within some standard deviations, from the median of those used; False if too few."""
+    """Set weights (n,) of matches within some standard deviations; False if too few are used.
+
+    The standard deviation is from the median of those used; or widened, from the best of all, and too large if an object
+    has few of them.
+    """
     _compute_residuals(x, y, focal, rotation, translation, residuals)
     used, count = np.empty(len(x)), 0
     for i in range(len(x)):
-        if weights[i] > 0.0:
+        if is_widened or weights[i] > 0.0:
             used[count] = abs(residuals[i])
             count += 1
     if count < MIN_MATCHES:
         return False
-    sigma = max(SIGMA_OF_MEDIAN * compute_median(used[:count]), MIN_SIGMA_PX)
+    if is_widened:
+        sigma = SIGMA_OF_SHARE * np.partition(used, count // MIN_SHARE)[count // MIN_SHARE]
+    else:
+        sigma = SIGMA_OF_MEDIAN * compute_median(used[:count])
     for i in range(len(x)):
-        weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * sigma else 0.0
+        weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * max(sigma, MIN_SIGMA_PX) else 0.0
     return True
 
 

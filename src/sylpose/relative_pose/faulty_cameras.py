@@ -19,7 +19,7 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import essential_matrix, sampson_distance
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.matches import MAX_STATIC_PX
+from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.camera_evidence import (
     MAX_F_RATIO,
@@ -34,7 +34,9 @@ from sylpose.relative_pose.camera_evidence import (
     transfer_motion,
 )
 from sylpose.relative_pose.irls import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
+from sylpose.relative_pose.rig_hypotheses import find_pixel_axes
 from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver, make_failed_fit
+from sylpose.rig import Rig
 from sylpose.status import Status
 from sylpose.sylvester.camera_faults import find_faulty_cameras
 
@@ -57,51 +59,69 @@ class _Agreement(NamedTuple):
     worst: float
 
 
-def solve_without_faulty_cameras(
-    data: Sequence[TermData], solution: Solution, names: Sequence[str], solve: TermSolver
-) -> Solution:
+def solve_without_faulty_cameras(data: Sequence[TermData], solution: Solution, rig: Rig, solve: TermSolver) -> Solution:
     """Solve without the faulty cameras, each of which is named in `Fit.faults`.
 
     Fewer than half of the cameras are removed, none of two. If none explains that they contradict each other, the status is
-    NOT_CONSISTENT: wrong pixels or a wrong rig, of which each camera makes a motion of its own; or fewer than three
-    agree while a removed one sees a motion.
+    NOT_CONSISTENT: wrong pixels or a wrong rig, of which each camera makes a motion of its own. So it is if fewer than
+    three agree while another one sees a motion, and if all agree with other axes of pixels.
 
     Args:
         data: the terms of the fit, one per camera, all in one reference frame.
         solution: the solution of all of them.
-        names: of the rig's cameras.
+        rig: their cameras.
         solve: solver for a subset of the terms.
     """
     fit = solution.fit
     if len(data) < 3 or not fit.status.has_pose or fit.status is Status.NO_MOTION or _is_small(data, fit):
         return solution
+    names = rig.names
     removed, agreement = _remove_cameras(data, solution, solve)
     fit = agreement.solution.fit
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
     rejected[removed] = True
-    # Any two cameras nearly agree. One that sees no motion of its own is at fault, whatever the others see.
-    is_unproven = np.count_nonzero(~rejected) < MIN_KEPT_POOLED and any(
-        _sees_motion(data[k], solution) for k in removed
-    )
-    is_contradicted = is_unproven if removed else agreement.worst > MAX_CONSISTENT_EXCESS
-    if is_contradicted and (f_ratio := _compute_least_f_ratio(data, solution)) > MAX_F_RATIO:
-        suspects = ", ".join(names[data[k].camera] for k in removed)
-        text = (
-            f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f}): check the "
-            "calibration, and that pixels are counted to the right and down from the upper left corner"
-        ) + (f"; begin with {suspects}: the others agree, as any two cameras nearly do" if removed else "")
-        return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
+    agrees, sees_other = _compare_all(data, agreement.solution, rejected)
+    is_contradicted = not removed and agreement.worst > MAX_CONSISTENT_EXCESS
+    if is_contradicted or sees_other.any():
+        excess, _ = measure_excess(data, solution.center, solution.fit.rotation, solution.fit.translation)
+        axes = find_pixel_axes(rig, data, excess)
+        # Any two cameras nearly agree. One that sees no motion of its own is at fault, whatever the others see.
+        is_unproven = sees_other.any() and np.count_nonzero(agrees) < MIN_KEPT_POOLED
+        if axes or is_unproven or (is_contradicted and _compute_least_f_ratio(data, solution) > MAX_F_RATIO):
+            f_ratio = float(compute_f_ratio(excess, len(excess)))
+            suspects = [names[data[k].camera] for k in np.flatnonzero(sees_other).tolist()] if is_unproven else []
+            text = _describe_contradiction(f_ratio, axes, suspects)
+            return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
     if rejected.any() and inliers.sum() >= MIN_AGREEING_SHARE * matches[~rejected].sum():
         fit = replace(fit, faults=_describe_faults(data, fit, rejected, removed, names))
     return agreement.solution._replace(fit=fit)
 
 
-def _sees_motion(term: TermData, solution: Solution) -> bool:
-    """Return whether a camera's images differ, and one motion of its own explains most of its matches."""
-    n, *_ = compare_term(term, solution.center, solution.fit.rotation, solution.fit.translation)
-    displacement_px = term.focal * np.linalg.norm(term.y - term.x, axis=1)
-    return bool(2 * n > len(term) and np.median(displacement_px) > MAX_STATIC_PX)
+def _describe_contradiction(f_ratio: float, axes: str, suspects: Sequence[str]) -> str:
+    start = f"the cameras see different motions (F ratio {f_ratio:.0f}"
+    if axes:
+        return f"{start}); they agree if {axes}"
+    limit = "" if suspects else f"; the limit is {MAX_F_RATIO:.0f}"
+    end = f"; begin with {', '.join(suspects)}: the others agree, as any two cameras nearly do" if suspects else ""
+    remedy = "check the calibration, and that pixels are counted to the right and down from the upper left corner"
+    return f"{start}{limit}): {remedy}{end}"
+
+
+def _compare_all(data: Sequence[TermData], solution: Solution, rejected: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Compare each camera's own motion with the solution.
+
+    Returns:
+        (T,) whether a camera agrees: it is not rejected, and has a motion of its own; (T,) whether a rejected one sees
+        another motion, about as exactly as the others see theirs.
+    """
+    motion = solution.center, solution.fit.rotation, solution.fit.translation
+    n, own_px, _, excess, _ = np.array([compare_term(term, *motion) for term in data]).T
+    agrees = ~rejected & (n > 0)
+    noise_px = np.max(own_px, initial=0.0, where=agrees)
+    displacement_px = np.array([term.focal * np.median(np.linalg.norm(term.y - term.x, axis=1)) for term in data])
+    is_motion = (2 * n > [len(term) for term in data]) & (displacement_px > STATIC_PX)
+    return agrees, rejected & is_motion & (own_px <= MIN_REDUCTION * noise_px) & (excess > MAX_CONSISTENT_EXCESS)
 
 
 def _is_small(data: Sequence[TermData], fit: Fit) -> bool:

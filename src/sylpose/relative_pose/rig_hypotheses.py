@@ -51,6 +51,9 @@ MAX_PERMUTED = 4
 # A hypothesis explains a contradiction if it reduces the F ratio to at most this value (choice: right hypotheses have at
 # most 1.4, others at least 3; docs/calibrating.md).
 MAX_AGREEING = 2.0
+# Other axes of pixels explain the contradiction of one pair of frames if they reduce the F ratio by at least this factor
+# (measured: right motions seem to be explained by 4 at most, wrong axes are by 11 and more: docs/history/benchmarks.md).
+MIN_AXES_REDUCTION = 8.0
 # A contradiction needs so many pairs of frames, and so does its explanation; that of a late camera needs more, since six
 # lags of each camera are tried (choice).
 MIN_PAIRS, MIN_LATE_PAIRS = 2, 3
@@ -72,6 +75,7 @@ class Mistake(StrEnum):
     FLIPPED = "images flipped vertically"
     CLOCKWISE = "images turned clockwise"
     COUNTERCLOCKWISE = "images turned counterclockwise"
+    TRANSPOSED = "rows and columns exchanged"
     INVERTED = "poses inverted"
     OPENGL = "OpenGL axes"
     INVERTED_OPENGL = "poses inverted, OpenGL axes"
@@ -125,6 +129,15 @@ class HypothesisFit:
         min_given = MAX_POOLED_F_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
         is_contradiction = self.n_pairs >= min_pairs and self.given_ratio > min_given
         return is_contradiction and self.f_ratio <= MAX_AGREEING and self.worst_ratio <= MAX_F_RATIO
+
+
+# Axes of pixels other than to the right and down, and what they look like.
+PIXEL_AXES = {
+    Mistake.MIRRORED: "pixels are counted to the left, or the images are mirrored",
+    Mistake.FLIPPED: "pixels are counted upwards, or the images are flipped vertically",
+    Mistake.TURNED: "pixels are counted to the left and upwards, or the images are turned by 180 degrees",
+    Mistake.TRANSPOSED: "pixels are given as row and column",
+}
 
 
 def list_hypotheses(rig: Rig) -> Iterator[Hypothesis]:
@@ -197,6 +210,31 @@ def select_explanations(fits: Sequence[HypothesisFit]) -> list[HypothesisFit]:
     return selected if len(selected) <= MAX_NAMED else []
 
 
+def find_pixel_axes(rig: Rig, data: Sequence[TermData], excess: FloatArray) -> str:
+    """Find the axes of pixels with which cameras that contradict each other agree.
+
+    Args:
+        rig: C cameras.
+        data: T terms, one per camera, all of the same frames.
+        excess: (T,) as they are (`camera_evidence`).
+
+    Returns:
+        the only one of `PIXEL_AXES` that explains the contradiction, as text; "" if there is none.
+    """
+    cameras = [rig.cameras[term.camera] for term in data]
+    pixels = [(camera.denormalize(t.x), camera.denormalize(t.y)) for camera, t in zip(cameras, data, strict=True)]
+    ratios, given = list[float](), compute_f_ratio(excess, len(excess))
+    for mistake in PIXEL_AXES:
+        found = _measure_excess([(c, _undo_image(c, p, mistake)) for c, p in zip(cameras, pixels, strict=True)])
+        # Without a camera the others agree more easily.
+        is_known = np.isfinite(found).sum() >= np.isfinite(excess).sum()
+        ratios.append(compute_f_ratio(found, len(found)) if is_known else np.inf)
+    best, *others = np.argsort(ratios).tolist()
+    is_better = ratios[best] <= MAX_AGREEING and MIN_AXES_REDUCTION * ratios[best] < given
+    is_only = not any(explains_as_well(ratios[k], ratios[best]) for k in others)
+    return [*PIXEL_AXES.values()][best] if is_better and is_only else ""
+
+
 def _undo(rig: Rig, pair: FramePair, hypothesis: Hypothesis) -> list[tuple[Camera, CameraMatches]]:
     """Return the cameras and their matches as they are without a mistake."""
     mistake, affected = hypothesis.mistake, hypothesis.cameras
@@ -230,6 +268,8 @@ def _undo_image(camera: Camera, matches: CameraMatches, mistake: Mistake) -> Cam
 
     def undo(pixels: FloatArray) -> FloatArray:
         u, v = pixels.T
+        if mistake is Mistake.TRANSPOSED:
+            return np.column_stack([v, u])
         if mistake is Mistake.CLOCKWISE:
             return np.column_stack([v, bottom - u])
         if mistake is Mistake.COUNTERCLOCKWISE:
@@ -242,20 +282,24 @@ def _undo_image(camera: Camera, matches: CameraMatches, mistake: Mistake) -> Cam
 
 def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]]) -> float:
     """Return the F ratio of a pair of frames; infinite without a joint motion, NaN without evidence."""
+    excess = _measure_excess(views)
+    return np.inf if np.isposinf(excess).any() else compute_f_ratio(excess, len(excess))
+
+
+def _measure_excess(views: Sequence[tuple[Camera, CameraMatches]]) -> FloatArray:
+    """Measure the excess of the cameras with enough matches; NaN without evidence, infinite without a joint motion."""
     terms = [
         TermData(c, camera.normalize(x), camera.normalize(y), camera.rotation, camera.center, camera.focal)
         for c, (camera, (x, y)) in enumerate(views)
         if len(x) >= MIN_MATCHES
     ]
     if len(terms) < 2:
-        return np.nan
+        return np.full(len(terms), np.nan)
     center, radius = locate_object(terms)
     fit = fit_terms(terms, center, radius, [], np.random.default_rng(0))
-    if not fit.status.has_pose:
-        return np.inf
     motion = center, fit.rotation, fit.translation
-    if not all(np.linalg.norm(transfer_motion(term, *motion)[1]) > MIN_BASELINE for term in terms):
-        # Without a baseline every match fits, whatever the rig.
-        return np.inf
-    excess, _ = measure_excess(terms, *motion)
-    return compute_f_ratio(excess, len(excess))
+    # Without a baseline every match fits, whatever the rig.
+    has_baseline = fit.status.has_pose and all(
+        np.linalg.norm(transfer_motion(term, *motion)[1]) > MIN_BASELINE for term in terms
+    )
+    return measure_excess(terms, *motion)[0] if has_baseline else np.full(len(terms), np.inf)
