@@ -81,15 +81,18 @@ def solve_without_faulty_cameras(data: Sequence[TermData], solution: Solution, r
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
     rejected[removed] = True
-    agrees, sees_other = _compare_all(data, agreement.solution, rejected)
+    agrees, sees_other = _compare_all(data, agreement.solution, rejected) if rejected.any() else (~rejected, rejected)
     is_contradicted = not removed and agreement.worst > MAX_CONSISTENT_EXCESS
     if is_contradicted or sees_other.any():
-        excess, _ = measure_excess(data, solution.center, solution.fit.rotation, solution.fit.translation)
-        axes = find_pixel_axes(rig, data, excess)
+        # Before a background only what has moved counts: one essential matrix may explain both.
+        moved = _select_moved(data) if solution.fit.static_ratio > 0.0 else data
+        excess, _ = measure_excess(moved, solution.center, solution.fit.rotation, solution.fit.translation)
+        axes = find_pixel_axes(rig, moved, excess)
         # Any two cameras nearly agree. One that sees no motion of its own is at fault, whatever the others see.
         is_unproven = sees_other.any() and np.count_nonzero(agrees) < MIN_KEPT_POOLED
-        if axes or is_unproven or (is_contradicted and _compute_least_f_ratio(data, solution) > MAX_F_RATIO):
-            f_ratio = float(compute_f_ratio(excess, len(excess)))
+        # Without the worst camera, as far as three remain.
+        f_ratio = float(compute_f_ratio(excess, MIN_KEPT_POOLED if is_contradicted else len(excess)))
+        if axes or is_unproven or (is_contradicted and f_ratio > MAX_F_RATIO):
             suspects = [names[data[k].camera] for k in np.flatnonzero(sees_other).tolist()] if is_unproven else []
             text = _describe_contradiction(f_ratio, axes, suspects)
             return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
@@ -132,18 +135,9 @@ def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
     return fit.static_ratio > 0.0 and not float(np.median(np.concatenate(moved))) > MAX_STATIC_PX
 
 
-def _compute_least_f_ratio(data: Sequence[TermData], solution: Solution) -> float:
-    """Compute the F ratio without the worst camera, as far as three remain; NaN if it is unknown.
-
-    Before a background only what has moved counts: one essential matrix may explain both.
-    """
-    fit, is_static = solution.fit, solution.fit.static_ratio > 0.0
-    moved = [
-        term.subset(term.focal * np.linalg.norm(term.y - term.x, axis=1) > MAX_STATIC_PX) if is_static else term
-        for term in data
-    ]
-    excess, _ = measure_excess(moved, solution.center, fit.rotation, fit.translation)
-    return float(compute_f_ratio(excess, MIN_KEPT_POOLED))
+def _select_moved(data: Sequence[TermData]) -> list[TermData]:
+    """Select the matches that have moved whatever the noise."""
+    return [term.subset(term.focal * np.linalg.norm(term.y - term.x, axis=1) > MAX_STATIC_PX) for term in data]
 
 
 def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> tuple[list[int], _Agreement]:

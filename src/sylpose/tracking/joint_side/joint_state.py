@@ -741,10 +741,8 @@ class JointState:
             return False
         if before is None or last.number - self.frames.first.number <= MIN_FRAMES_TO_APPLY:
             return True
-        change, since = (
-            compute_pose_change(before.world_from_object, last.world_from_object),
-            last.number - before.number,
-        )
+        change = compute_pose_change(before.world_from_object, last.world_from_object)
+        since = last.number - before.number
         is_new = np.linalg.norm(change[:3]) > options.min_refinement_rotation
         return since >= MAX_INTERVAL or (since >= MIN_INTERVAL and bool(is_new))
 
