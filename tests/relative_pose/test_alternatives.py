@@ -9,16 +9,23 @@ from scipy.spatial.transform import Rotation
 from benchmarks.honesty import compare_with_truth, solve
 from benchmarks.honesty_kinds import make_problem
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, run_constrained_irls, run_irls
+from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_constrained_irls, run_irls
 from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
+from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
 from sylpose.relative_pose.uncertainty import (
     MAX_INCLUDED_SIGMAS,
     MIN_VARIANCE_DEFICIT,
+    compute_freedom,
     compute_second_planes,
+    compute_square_root,
+    fit_edge_on,
     inflate,
     inflate_covariance,
+    list_other_minima,
+    triangulate_planes,
 )
+from sylpose.status import Status
 
 
 def fit_from_truth(kind: str, number: int) -> tuple[Stack, IrlsFit]:
@@ -51,12 +58,122 @@ def fit_from_truth(kind: str, number: int) -> tuple[Stack, IrlsFit]:
         ("second 20 to 60 %, two cameras", 100195),  # correlated neighbors
         ("narrow", 100177),  # as likely far along the valley
         ("narrow, wrong 30 to 60 %", 100008),
+        ("two cameras, flat", 7040),  # the plane is seen edge on
+        ("narrow, flat", 7078),
+        ("two cameras, flat, wrong 30 to 50 %", 9022),  # an alternative is less certain than the motion
+        ("narrow, flat", 9027),  # depends on how curved the surface is assumed to be
+        ("two opposite, flat", 9127),  # the rays meet far from the object
+        ("two opposite, flat", 7010),
+        ("copies, few", 9017),  # few degrees of freedom
     ],
 )
 def test_weakly_observed_motion_is_not_overconfident(kind: str, number: int) -> None:
     """Regression: each was off by 3 to 16 degrees, or by a comparable translation, with a small covariance."""
     problem = make_problem(kind, number)
     assert not compare_with_truth(problem, solve(problem)).wrong
+
+
+@pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.03, -0.05), (0.6, -0.5)])
+def test_planes_are_triangulated_exactly(slopes: tuple[float, float]) -> None:
+    stack, found = fit_from_truth("two cameras", 1)
+    found.weights[:] = 1.0
+    planes = np.array([[1.0 + 0.02 * t, *slopes, 0.0, 0.0, 0.0] for t in range(2)])
+    for t in range(2):
+        match = slice(stack.offsets[t], stack.offsets[t + 1])
+        x = stack.x[match]
+        inverse_depth = stack.inverse_depth[t] * (planes[t, 0] + (x - stack.anchor[t]) / stack.spread[t] @ slopes)
+        turned = stack.qy[t] @ found.candidate.rotation
+        tau = turned @ stack.a1[t] + stack.qy[t] @ (found.candidate.translation - stack.a2[t])
+        y = np.column_stack([x, np.ones(len(x))]) @ (turned @ stack.qx[t].T).T + np.outer(inverse_depth, tau)
+        stack.y[match] = y[:, :2] / y[:, 2:]
+    # Without noise, so that priors have no weight.
+    exact = stack._replace(residual_depth=np.full(2, 1e-9))
+    found.sigma_px[:] = 1e-6
+    result, before = np.empty((2, 6)), found.candidate.depth_model[:, 1:3]
+    change = triangulate_planes(exact, found, result)
+    np.testing.assert_allclose(result, planes, atol=1e-6)
+    prior_sd = 1.0 / np.sqrt(stack.depth_model_information[:, [1, 2], [1, 2]])
+    assert change == pytest.approx(np.max(np.abs(planes[:, 1:3] - before) / prior_sd), rel=1e-3)
+
+
+def test_planes_without_inliers_are_the_prior() -> None:
+    stack, found = fit_from_truth("two cameras", 1)
+    found.weights[:] = 0.0
+    result = np.empty((2, 6))
+    assert triangulate_planes(stack, found, result) == 0.0
+    np.testing.assert_array_equal(result, stack.depth_model_mean)
+
+
+@pytest.mark.parametrize("kind", ["two cameras", "two opposite, flat", "flat"])
+def test_covariance_has_a_square_root(kind: str) -> None:
+    _, found = fit_from_truth(kind, 1)
+    root = compute_square_root(found.information, 0.2)
+    np.testing.assert_allclose(root @ root.T @ found.information, np.eye(6), atol=1e-6)
+    assert compute_square_root(np.zeros((6, 6)), 0.2).shape == (6, 0)
+
+
+def test_square_root_does_not_depend_on_units() -> None:
+    """Unobservable directions are bounded relative to the others."""
+    in_m = np.diag([0.0, 40.0, 50.0, 1000.0, 900.0, 0.0])
+    to_mm = np.array([1.0, 1.0, 1.0, 1e3, 1e3, 1e3])
+    root = compute_square_root(in_m / np.outer(to_mm, to_mm), 200.0)
+    covariance = root @ root.T / np.outer(to_mm, to_mm)
+    expected = compute_square_root(in_m, 0.2)
+    np.testing.assert_allclose(covariance, expected @ expected.T, rtol=1e-9)
+    assert np.isfinite(covariance).all()
+
+
+def test_plane_seen_edge_on_is_fitted() -> None:
+    """From prior depths the motion is right, but the plane a rough surface."""
+    stack, found = fit_from_truth("two cameras, flat", 7040)
+    usable = np.ones(len(stack.x))
+    start = found.candidate._replace(depth_model=stack.depth_model_mean)
+    rough = make_irls_start(stack, start, found.sigma_px)
+    _, _, cost = run_irls(stack, usable, rough, SIGMA_FLOOR_PX)
+    steep, new_cost = fit_edge_on(stack, usable, make_irls_start(stack, start, found.sigma_px))
+    assert new_cost < cost - 50.0
+    assert np.abs(steep.candidate.depth_model[0, 1:3]).min() > 5.0 * np.abs(rough.candidate.depth_model[0, 1:3]).max()
+    # Where the surface faces the cameras, nothing changes.
+    stack, found = fit_from_truth("two cameras", 1)
+    again, same_cost = fit_edge_on(
+        stack, np.ones(len(stack.x)), make_irls_start(stack, found.candidate, found.sigma_px)
+    )
+    assert again.candidate.rotation == pytest.approx(found.candidate.rotation, abs=1e-3)
+    assert np.isfinite(same_cost)
+
+
+def test_minima_are_listed_once() -> None:
+    _, found = fit_from_truth("two cameras", 1)
+    R, d, _ = found.candidate
+    away = Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix() @ R
+    minima = RefinedMinima(
+        np.stack([away, R, away, R]), np.stack([d, d, d, d + 0.5]), np.array([3.0, 1.0, 4.0, np.inf]), np.full(4, 50.0)
+    )
+    listed = list_other_minima(found, minima)
+    assert len(listed) == 1
+    np.testing.assert_array_equal(listed[0][0], away)
+
+
+def test_freedom_is_what_motion_and_planes_leave() -> None:
+    stack, found = fit_from_truth("two cameras", 1)
+    first = int(stack.offsets[1])
+    found.weights[:] = 0.0
+    assert compute_freedom(stack, found) == 1.0
+    found.weights[:10] = 0.5
+    assert compute_freedom(stack, found) == pytest.approx((20 - 6 - 3) / 20)
+    found.weights[first : first + 2] = 1.0
+    assert compute_freedom(stack, found) == pytest.approx((24 - 6 - 3 - 2) / 24)
+    found.weights[3:] = 0.0
+    assert compute_freedom(stack, found) == pytest.approx(1 / 6)
+
+
+@pytest.mark.parametrize(("kind", "number"), [("two opposite, flat", 9127), ("two opposite", 9008)])
+def test_motion_between_opposite_cameras_is_found(kind: str, number: int) -> None:
+    """Regression: their rays met several radii from the object."""
+    outcome = compare_with_truth(problem := make_problem(kind, number), solve(problem))
+    assert outcome.status is Status.OK
+    assert outcome.degrees < 2.0
+    assert outcome.nees < 20.0
 
 
 @pytest.mark.parametrize("direction", range(6))

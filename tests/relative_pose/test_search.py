@@ -27,7 +27,7 @@ from sylpose.relative_pose.search import (
     make_workspace,
     search_minima,
 )
-from sylpose.relative_pose.terms import Candidate, Stack, locate_object, stack_initial_motions, stack_terms
+from sylpose.relative_pose.terms import Candidate, Stack, TermData, locate_object, stack_initial_motions, stack_terms
 from sylpose.rig import Rig
 from sylpose.simulate import (
     Body,
@@ -92,6 +92,28 @@ class Minimum(NamedTuple):
     @property
     def translation(self) -> FloatArray:
         return self.candidate.translation
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.004, -0.05])
+@pytest.mark.parametrize("offset", [-0.6, 0.0, 0.4])
+def test_object_between_opposite_cameras_is_located_by_its_size(offset: float, tilt: float) -> None:
+    """Their rays do not determine where it is along themselves; tilted, they may meet behind a camera."""
+    rig, rng = arc(2, 180.0), np.random.default_rng(7)
+    axis = (rig[1].center - rig[0].center) / 3.0
+    data = []
+    for c, camera in enumerate(rig):
+        surface = rng.normal(size=(200, 3))
+        surface *= 0.15 / np.linalg.norm(surface, axis=1)[:, None]
+        points = offset * axis + surface[surface @ (camera.center - offset * axis) > 0]
+        pixels = camera.project(points) + rng.normal(scale=0.5, size=(len(points), 2))
+        pixels[:, 1] += tilt * camera.focal * (1 if c else -1)
+        x = camera.normalize(pixels)
+        data.append(TermData(c, x, x, camera.rotation, camera.center, camera.focal))
+    center, radius = locate_object(data)
+    assert np.linalg.norm(center - offset * axis) < 0.5 * radius
+    # The prior of its distance is as wide as what sizes and rays leave undetermined.
+    prior_sd = np.abs(stack_terms(data, center, radius).distance_gain)
+    assert (prior_sd < 0.3).all()
 
 
 def find_scene_minima(

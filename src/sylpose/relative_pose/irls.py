@@ -50,10 +50,6 @@ STEP_SHRINK_FACTOR, MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.5, 0.1, 1.3
 MAX_ROTATION_STEP = 0.3
 # Largest relative change of an inverse depth in one step (choice).
 MAX_DEPTH_CHANGE = 0.5
-# Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
-# removes this bias if surfaces are as curved as the prior, and overcorrects if they are flatter. This share of the
-# correction is a compromise, hardly worse than either at its best (measured: docs/history/benchmarks.md#two-frames).
-MARGINALIZED_SHARE = 0.5
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
@@ -504,7 +500,7 @@ def reduce_term(
                 s += inverse[k, i] * inverse[k, j]
             unknowns -= (1.0 if i == j else 2.0) * s * prior[i, j]
     # The derivative of log det(block) / 2, from the likelihood with α integrated out.
-    pull = MARGINALIZED_SHARE * unknowns / max(equations.parallax_squares[0], 1e-300)
+    pull = stack.marginalized_share * unknowns / max(equations.parallax_squares[0], 1e-300)
     for i in range(6):
         h, j = i // 3, i % 3
         for a in range(3):

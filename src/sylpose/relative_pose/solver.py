@@ -32,6 +32,7 @@ from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_
 from sylpose.relative_pose.search import make_minima, search_minima
 from sylpose.relative_pose.terms import (
     MIN_MATCHES,
+    Candidate,
     Fit,
     Stack,
     TermData,
@@ -49,8 +50,8 @@ Information = tuple[FloatArray, FloatArray]
 
 # A solver whose last step was one standard deviation long has not converged: half its square (derived).
 MAX_PREDICTED_DECREASE = 0.5
-# Standard deviation along a nearby alternative motion, as a share of the distance to it (choice: two standard
-# deviations).
+# Standard deviation towards a nearby alternative motion, as a share of the distance to it, in addition to its own (choice:
+# two standard deviations).
 ALTERNATIVE_SD_RATIO = 0.5
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
@@ -206,7 +207,7 @@ def _build_fit(
         information = _inflate_both(information, curvature)
         may_be_static = observability.is_static(stack, irls_fit, information[0])
     if may_be_static:
-        likeliest = uncertainty.find_likeliest_alternative(irls_fit, minima, information[0], radius)
+        likeliest = uncertainty.find_likeliest_alternative(stack, irls_fit, minima, information[0], radius)
         if likeliest is not None or motion_mixture.has_moving_matches(stack, usable, irls_fit):
             return problem.fail(Status.MOSTLY_STATIC)
         status, rotation, translation = Status.NO_MOTION, np.eye(3), np.zeros(3)
@@ -262,7 +263,7 @@ def _explain_correlation(problem: _Problem, irls_fit: IrlsFit, checks: FitDiagno
 def _consider_alternatives(
     problem: _Problem, result: RobustFit, probabilities: FloatArray, checks: FitDiagnostics, information: Information
 ) -> tuple[RefinedMinima, Hypothesis | None, Information] | None:
-    """Find alternative motions; a near one inflates the covariance.
+    """Find alternative motions; near ones, with their own covariances, inflate the covariance.
 
     Returns:
         all minima, a distant alternative or None, and the information; None if the fit does not converge to itself.
@@ -277,15 +278,23 @@ def _consider_alternatives(
     cost = float(minima.costs.min())
     if needs_alternatives:
         include_self = weakly_observed or checks.inliers < FEW_INLIERS
-        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, cost, include_self)
+        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, minima, include_self)
         if refined_minima is None:
             return None
         minima = uncertainty.merge_minima(minima, refined_minima)
-    likeliest = uncertainty.find_likeliest_alternative(irls_fit, minima, information[0], radius)
-    if likeliest is not None and likeliest.is_distant:
-        return minima, (likeliest.rotation, likeliest.translation), information
-    if likeliest is not None:
-        information = _inflate_both(information, ALTERNATIVE_SD_RATIO * likeliest.step[:, None])
+    # Each round includes one minimum in the covariance, which is then no alternative any more.
+    for _ in minima.costs:
+        likeliest = uncertainty.find_likeliest_alternative(stack, irls_fit, minima, information[0], radius)
+        if likeliest is None:
+            break
+        motion = likeliest.rotation, likeliest.translation
+        if likeliest.is_distant:
+            return minima, motion, information
+        start = make_irls_start(stack, Candidate(*motion, stack.depth_model_mean), irls_fit.sigma_px)
+        refit, refit_cost = uncertainty.fit_edge_on(stack, probabilities, start)
+        columns = [ALTERNATIVE_SD_RATIO * likeliest.step[:, None]]
+        columns += [uncertainty.compute_square_root(refit.information, radius)] if refit_cost < np.inf else []
+        information = _inflate_both(information, np.column_stack(columns))
     if weakly_observed:
         for step, loss in uncertainty.refit_along_weak_direction(stack, probabilities, irls_fit, radius, cost):
             information = _inflate_both(information, uncertainty.inflate_covariance(information[0], step, loss))
@@ -309,28 +318,38 @@ def _remove_rod_rotation(stack: Stack, usable: FloatArray, result: RobustFit, ro
 
 
 def _refine_from_alternatives(
-    stack: Stack, probabilities: FloatArray, irls_fit: IrlsFit, cost: float, include_self: bool
+    stack: Stack, probabilities: FloatArray, irls_fit: IrlsFit, minima: RefinedMinima, include_self: bool
 ) -> RefinedMinima | None:
-    """Refit from the second planes of flat objects, and from the motion itself with prior depth models.
+    """Refit from the second planes of flat objects, the other minima, and the motion itself with other depths.
 
-    The noise that was found is kept. A motion that does not converge to itself depends on depth models and weights
-    left by chance or by another motion: the motion that it converges to counts as equally likely.
+    The noise that was found is kept. Flat objects, weakly observed motions and those of few inliers depend on how curved
+    surfaces are assumed to be: they are also fitted as if as curved as the prior, and as if flat. A motion that does not
+    converge to itself from prior depth models depends on models and weights left by chance or by another motion: the
+    motion that it converges to counts as equally likely.
 
     Args:
         probabilities: (N,) the probability of each match to belong to the motion.
-        cost: of the fit.
+        minima: of the search.
         include_self: whether to refit from the motion itself.
 
     Returns:
         the minima; None if the refit from the motion itself diverges.
     """
-    starts = uncertainty.compute_second_planes(stack, irls_fit)
-    starts += [irls_fit.candidate._replace(depth_model=stack.depth_model_mean)] if include_self else []
+    cost = float(minima.costs.min())
+    starts = [(stack, plane) for plane in uncertainty.compute_second_planes(stack, irls_fit)]
+    if starts or include_self:
+        starts += [
+            (stack, Candidate(rotation, translation, stack.depth_model_mean))
+            for rotation, translation in uncertainty.list_other_minima(irls_fit, minima)
+        ]
+        starts += [(stack._replace(marginalized_share=share), irls_fit.candidate) for share in (0.0, 1.0)]
+    if include_self:
+        starts.append((stack, irls_fit.candidate._replace(depth_model=stack.depth_model_mean)))
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))
-    for k, start in enumerate(starts):
-        refit = make_irls_start(stack, start, irls_fit.sigma_px)
-        _, _, costs[k] = run_irls(stack, probabilities, refit, SIGMA_FLOOR_PX)
+    for k, (assumed, start) in enumerate(starts):
+        first = make_irls_start(stack, start, irls_fit.sigma_px)
+        refit, costs[k] = uncertainty.fit_edge_on(assumed, probabilities, first)
         rotations[k], translations[k] = refit.candidate.rotation, refit.candidate.translation
         inliers[k] = (refit.weights > 0.0).sum()
     if include_self:
@@ -373,6 +392,7 @@ def warm_up_diagnostics() -> None:
     fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
     motion_mixture.correlate_neighbors(stack, fit)
     uncertainty.minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
+    uncertainty.triangulate_planes(stack, fit, np.empty_like(stack.depth_model_mean))
 
 
 def warm_up_evidence() -> None:

@@ -25,10 +25,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, kernel, leaf, symmetric_eigen
+from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, compute_sum, dot, kernel, leaf, symmetric_eigen
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
-from sylpose.relative_pose.limits import HALF_DIGITS
+from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS
 from sylpose.status import Status
 
 # Eight matches over all cameras leave two more equations than unknowns; fewer give no redundancy (choice).
@@ -126,6 +126,12 @@ class TermData:
         return np.asarray(self.rotation @ self.start_from_reference.rotation.as_matrix().T)
 
 
+# Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
+# removes this bias if surfaces are as curved as the prior, and overcorrects if they are flatter. This share of the
+# correction is a compromise, hardly worse than either at its best (measured: docs/history/benchmarks.md#two-frames).
+MARGINALIZED_SHARE = 0.5
+
+
 class Stack(NamedTuple):
     """All terms of one problem as arrays, for the compiled solver (T terms, N matches in all).
 
@@ -146,6 +152,7 @@ class Stack(NamedTuple):
         plane_residual_depth: (T,) prior standard deviation of its residual depth.
         focal: (T,) pixels per normalized unit.
         min_sigma_px: lower bound of the noise, pixels.
+        marginalized_share: share of the correction for depth models that fit noise (`MARGINALIZED_SHARE`).
     """
 
     x: FloatArray
@@ -167,6 +174,7 @@ class Stack(NamedTuple):
     plane_residual_depth: FloatArray
     focal: FloatArray
     min_sigma_px: float
+    marginalized_share: float
 
 
 class Candidate(NamedTuple):
@@ -272,7 +280,9 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, min
     *views, centers_x, centers, focal = _concatenate(data)
     shapes: Sequence[Any] = ((n, 2), n, n, (n, k), (n, k, k), n, n, (n, 3), (n, 3), n)
     relative_centers = centers_x - center, centers - center
-    stack = Stack._make([*views, *relative_centers, *map(np.empty, shapes), focal, float(min_sigma_px)])
+    stack = Stack._make(
+        [*views, *relative_centers, *map(np.empty, shapes), focal, float(min_sigma_px), MARGINALIZED_SHARE]
+    )
     _set_depth_priors(stack, float(radius))
     return stack
 
@@ -281,7 +291,7 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, min
 def _set_depth_priors(stack: Stack, radius: float) -> None:
     """Set the depth priors of all terms."""
     distance_sd = stack.distance_gain
-    _compute_distance_sd(stack.a1, stack.qx, distance_sd)
+    _compute_distance_sd(stack.a1, stack.qx, radius, distance_sd)
     scale = np.empty(DEPTH_MODEL_SIZE)
     for t in range(len(distance_sd)):
         q, a = stack.qx[t], stack.a1[t]
@@ -437,7 +447,7 @@ def _intersect_rays(centers: FloatArray, rays: FloatArray, spread: FloatArray, o
             max_coordinate = max(max_coordinate, abs(centers[t, i]))
     length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
     if not length > MIN_PARALLEL_MEAN:
-        _find_nearest_point(centers, rays, middle, along, out)
+        _find_nearest_point(centers, rays, middle, along, spread, out)
         return
     squares, convergence = 0.0, 0.0
     for t in range(n):
@@ -455,7 +465,7 @@ def _intersect_rays(centers: FloatArray, rays: FloatArray, spread: FloatArray, o
     sd = OFFSET_SD * 2.0 * spread.sum() / n / np.sqrt(squares) if near else np.inf
     inverse = convergence / squares if near else 0.0
     if inverse > MIN_CONVERGENCE_SIGMAS * sd or not np.isfinite(sd):
-        _find_nearest_point(centers, rays, middle, along, out)
+        _find_nearest_point(centers, rays, middle, along, spread, out)
         return
     for i in range(3):
         out[i] = middle[i] + slope[i] / (0.5 * (inverse + np.hypot(inverse, 2.0 * sd)))
@@ -463,11 +473,12 @@ def _intersect_rays(centers: FloatArray, rays: FloatArray, spread: FloatArray, o
 
 @kernel
 def _find_nearest_point(
-    centers: FloatArray, rays: FloatArray, middle: FloatArray, along: FloatArray, out: FloatArray
+    centers: FloatArray, rays: FloatArray, middle: FloatArray, along: FloatArray, spread: FloatArray, out: FloatArray
 ) -> None:
-    """Find the point with the least sum of squared distances to rays, as `rig.intersect_rays` does.
+    """Find the point with the least sum of squared distances to rays.
 
-    middle and along are the means of the centers and of the rays.
+    middle and along are the means of the centers and of the rays. Along themselves, rays of opposite cameras do not
+    determine it as `rig.intersect_rays` does, but the object appears about as large from all sides.
     """
     near, right, total = np.empty(3), np.zeros(3), np.zeros((3, 3))
     length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
@@ -490,16 +501,83 @@ def _find_nearest_point(
             part = (vectors[0, k] * right[0] + vectors[1, k] * right[1] + vectors[2, k] * right[2]) / values[k]
             for i in range(3):
                 out[i] += part * vectors[i, k]
+    _balance_sizes(centers, rays, spread, vectors[:, 0], values[0], out)
 
 
 @kernel
-def _compute_distance_sd(a1: FloatArray, qx: FloatArray, out: FloatArray) -> None:
+def _balance_sizes(
+    centers: FloatArray,
+    rays: FloatArray,
+    spread: FloatArray,
+    direction: FloatArray,
+    certainty: float,
+    point: FloatArray,
+) -> None:
+    """Move a point along a direction (3,) so that the object is equally large from all cameras.
+
+    A ray misses the object's center by about `OFFSET_SD` radii, and the size that it appears to have varies by the same
+    share.
+
+    Args:
+        spread: (T,) its size in the images, normalized units.
+        direction: the least certain one.
+        certainty: sum of the squared sines between it and the rays.
+        point: (3,) changed.
+    """
+    if not certainty < 1.0:
+        return  # it is as certain as across a single ray
+    if not spread.min() > 0.0:
+        return
+    n, start, to_middle = len(rays), point.copy(), 0.0
+    depth, along, log_size = np.empty(n), np.zeros(n), np.empty(n)
+    for t in range(n):
+        for i in range(3):
+            along[t] += rays[t, i] * direction[i]
+            to_middle += (centers[t, i] - point[i]) * direction[i] / n
+    if not _measure_depths(centers, rays, point, depth) > 0.0:
+        # The rays meet behind a camera: begin between the cameras.
+        point[:] = start + to_middle * direction
+        if not _measure_depths(centers, rays, point, depth) > 0.0:
+            point[:] = start
+            return
+    for _ in range(MAX_ROUNDS):
+        log_size[:], shift = np.log(spread * depth), 0.0
+        for i in range(3):
+            shift += (point[i] - start[i]) * direction[i]
+        radius, growth = 2.0 * compute_sum(spread * depth) / n, along / depth
+        log_size -= compute_sum(log_size) / n
+        growth -= compute_sum(growth) / n
+        stiffness = certainty / radius**2 + dot(growth, growth)
+        if not stiffness > HALF_DIGITS / radius**2:
+            return  # the rays are parallel, and the depths equal
+        step, bound = -(certainty / radius**2 * shift + dot(growth, log_size)) / stiffness, 0.5 * depth.min()
+        step = min(max(step, -bound), bound)
+        point += step * direction
+        _measure_depths(centers, rays, point, depth)
+        if abs(step) < HALF_DIGITS * radius:
+            return
+
+
+@leaf
+def _measure_depths(centers: FloatArray, rays: FloatArray, point: FloatArray, depth: FloatArray) -> float:
+    """Set depth (T,), how far a point is along rays (T, 3) from centers (T, 3); return the least."""
+    least = np.inf
+    for t in range(len(rays)):
+        depth[t] = 0.0
+        for i in range(3):
+            depth[t] += rays[t, i] * (point[i] - centers[t, i])
+        least = min(least, depth[t])
+    return float(least)
+
+
+@kernel
+def _compute_distance_sd(a1: FloatArray, qx: FloatArray, radius: float, out: FloatArray) -> None:
     """Set out (T,) to the additional standard deviation of each term's inverse depth of g, in radii of the object.
 
     It is signed, since all terms share one unknown. g is the intersection of the terms' median rays, each of which
     misses the object's center by about `OFFSET_SD` radii. Cameras close together as seen from the object, or on
-    opposite sides of it, magnify that error along their viewing direction. Cameras in one place do not determine the
-    distance, and nothing is added.
+    opposite sides of it, magnify that error along their viewing direction; from opposite sides, the object's apparent
+    sizes bound it (`_balance_sizes`). Cameras in one place do not determine the distance, and nothing is added.
     """
     n = len(a1)
     total, values, vectors = np.zeros((3, 3)), np.empty(3), np.empty((3, 3))
@@ -511,10 +589,21 @@ def _compute_distance_sd(a1: FloatArray, qx: FloatArray, out: FloatArray) -> Non
                 total[i, j] -= a1[t, i] * a1[t, j] / (length * length)
     # The sum of the eigenvalues is twice the number of rays, and none exceeds that number: at most one is below 1.
     symmetric_eigen(total, values, vectors)
-    if not values[0] > HALF_DIGITS:
+    certainty, mean_growth = values[0], 0.0
+    for k in range(2):
+        for t in range(n):
+            growth, square = 0.0, 1e-300
+            for i in range(3):
+                growth -= radius * a1[t, i] * vectors[i, 0]
+                square += a1[t, i] * a1[t, i]
+            if k == 0:
+                mean_growth += growth / square / n
+            else:
+                certainty += (growth / square - mean_growth) ** 2
+    if not certainty > HALF_DIGITS:
         out[:] = 0.0
         return
-    excess_sd = OFFSET_SD * np.sqrt(max(1.0 / values[0] - 1.0, 0.0))
+    excess_sd = OFFSET_SD * np.sqrt(max(1.0 / certainty - 1.0, 0.0))
     for t in range(n):
         out[t] = -excess_sd * (qx[t, 2, 0] * vectors[0, 0] + qx[t, 2, 1] * vectors[1, 0] + qx[t, 2, 2] * vectors[2, 0])
 

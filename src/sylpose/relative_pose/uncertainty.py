@@ -14,7 +14,8 @@ Other motions may explain the same matches about as well. The matches of a flat 
 is not visible, agree with two homographies in each camera: of its plane and motion, and of a second plane with another
 motion. Cameras all around resolve this ambiguity. Cameras close together do not, nor does the search always find both.
 The second plane is therefore computed from the first, camera by camera, and tried as a start. Any refined minimum that
-is nearly as likely and distant is an alternative: the result is then ambiguous.
+is nearly as likely and distant is an alternative: the result is then ambiguous. A near one, with its own covariance, is
+included in the covariance.
 
 Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use
 here is ours (docs/method/3-pose.md); the second plane, Ma, Soatto, Kosecka, Sastry, "An Invitation to 3-D Vision",
@@ -33,12 +34,14 @@ from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import (
     CUTOFF,
+    N_MOTION,
     IrlsFit,
     make_irls_start,
     make_joint_system,
     make_tolerance,
     reduce_term,
     run_constrained_irls,
+    run_irls,
 )
 from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE, SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import (
@@ -49,7 +52,15 @@ from sylpose.relative_pose.match_cost import (
     make_term,
 )
 from sylpose.relative_pose.robust_fit import RefinedMinima
-from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, DEPTH_MODEL_SIZE, Candidate, Stack, apply_step, copy_into
+from sylpose.relative_pose.terms import (
+    COINCIDENCE_TOLERANCE,
+    DEPTH_MODEL_SIZE,
+    Candidate,
+    Stack,
+    apply_step,
+    copy_into,
+    transform_to_camera,
+)
 
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
 # noise (chi-squared, once in a thousand times).
@@ -59,6 +70,10 @@ MAX_FLAT_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # inlier that the likelier motion has in excess. It may explain mismatches by chance, and real images' keypoints have longer
 # tails than the model (measured: a mirror image with 7 of 108 matches more was likelier than the truth by 22).
 MAX_LIKELIHOOD_LOSS, LOSS_PER_EXCESS_INLIER = 12.0, 3.0
+# The prior of a slope is concave beyond this, in its standard deviations, and allows another minimum (derived).
+CONCAVE_SLOPE = 1.0
+# Unknowns of a plane, which a term's matches determine; its curvature comes mostly from the prior (derived).
+N_PLANE = 3
 # Two motions are distinct if one is outside the covariance of the other (chi-squared, once in a thousand times).
 MIN_SEPARATION_SQUARE = chi_squared_bound(6)
 
@@ -142,6 +157,72 @@ def _transfer_plane(stack: Stack, t: int, normal: FloatArray) -> FloatArray:
     return out
 
 
+def fit_edge_on(stack: Stack, usable: InlierPrior, fit: IrlsFit) -> tuple[IrlsFit, float]:
+    """Run re-weighted least squares, and again from steep planes if the inliers show them.
+
+    The prior of the slopes has long tails: a plane that is seen edge on, and a rough surface that faces the camera, are
+    two minima between which no step leads.
+
+    Returns:
+        the likelier fit; its cost, as that of `run_irls`.
+    """
+    _, _, cost = run_irls(stack, usable, fit, SIGMA_FLOOR_PX)
+    if not cost < np.inf:
+        return fit, np.inf
+    planes = np.empty_like(fit.candidate.depth_model)
+    if triangulate_planes(stack, fit, planes) <= CONCAVE_SLOPE:
+        return fit, cost
+    edge_on = make_irls_start(stack, fit.candidate._replace(depth_model=planes), fit.sigma_px)
+    _, _, new_cost = run_irls(stack, usable, edge_on, SIGMA_FLOOR_PX)
+    return (edge_on, new_cost) if new_cost < cost else (fit, cost)
+
+
+@kernel
+def triangulate_planes(stack: Stack, fit: IrlsFit, planes: FloatArray) -> float:
+    """Triangulate a fit's inliers with its motion, and fit a plane to those of each camera.
+
+    The prior of the slopes is that the points are within the object's radius.
+
+    Args:
+        planes: (T, 6) receives them as depth models.
+
+    Returns:
+        the largest change of a slope of the fit, in standard deviations of its prior.
+    """
+    rc, tc, rotated, largest = np.empty((3, 3)), np.empty(3), np.empty(3), 0.0
+    matrix, right, row = np.empty((3, 3)), np.empty(3), np.ones(3)
+    for t in range(len(planes)):
+        transform_to_camera(stack, t, fit.candidate, rc, tc, rotated)
+        prior, count = stack.depth_model_information[t], 0
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            count += fit.weights[i] > 0.0
+        matrix[:], right[:], planes[t] = 0.0, 0.0, stack.depth_model_mean[t]
+        matrix[0, 0], right[0] = prior[0, 0], prior[0, 0] * planes[t, 0]
+        variance, within_radius = (fit.sigma_px[t] / stack.focal[t]) ** 2, (2.0 * stack.spread[t]) ** -2 / max(count, 1)
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if not fit.weights[i] > 0.0:
+                continue
+            x0, x1, y0, y1 = stack.x[i, 0], stack.x[i, 1], stack.y[i, 0], stack.y[i, 1]
+            row[1], row[2] = (x0 - stack.anchor[t, 0]) / stack.spread[t], (x1 - stack.anchor[t, 1]) / stack.spread[t]
+            v0, v1 = rc[0, 0] * x0 + rc[0, 1] * x1 + rc[0, 2], rc[1, 0] * x0 + rc[1, 1] * x1 + rc[1, 2]
+            v2 = rc[2, 0] * x0 + rc[2, 1] * x1 + rc[2, 2]
+            # (y0, y1, 1) is parallel to v + ρ τ: a ρ = b, two equations of one unknown.
+            a0, a1 = stack.inverse_depth[t] * (tc[0] - y0 * tc[2]), stack.inverse_depth[t] * (tc[1] - y1 * tc[2])
+            square, product = a0 * a0 + a1 * a1, a0 * (y0 * v2 - v0) + a1 * (y1 * v2 - v1)
+            weight = 1.0 / (variance * v2 * v2 + stack.residual_depth[t] ** 2 * square)
+            for j in range(3):
+                right[j] += weight * product * row[j]
+                for k in range(3):
+                    matrix[j, k] += (weight * square + (within_radius if min(j, k) > 0 else 0.0)) * row[j] * row[k]
+        if not cholesky_solve(matrix, right):
+            continue  # too few inliers
+        planes[t, :3], planes[t, 3:] = right, 0.0
+        for j in range(1, 3):
+            change = abs(right[j] - fit.candidate.depth_model[t, j])
+            largest = max(largest, change * np.sqrt(prior[j, j]))
+    return largest
+
+
 def _compute_second_plane(
     H: FloatArray, normal: FloatArray, anchor: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -173,8 +254,35 @@ def merge_minima(first: RefinedMinima, second: RefinedMinima) -> RefinedMinima:
     return RefinedMinima(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
 
 
+def list_other_minima(fit: IrlsFit, minima: RefinedMinima) -> list[tuple[FloatArray, FloatArray]]:
+    """List the motions (R, d) of minima that are distinct from the fit and from each other, likeliest first."""
+    found = [(fit.candidate.rotation, fit.candidate.translation)]
+    for k in np.argsort(minima.costs, kind="stable").tolist():
+        if not np.isfinite(minima.costs[k]):
+            continue
+        motion = minima.rotations[k], minima.translations[k]
+        steps = [_compute_step(*motion, *other) for other in found]
+        if min(step @ fit.information @ step for step in steps) > MIN_SEPARATION_SQUARE:
+            found.append(motion)
+    return found[1:]
+
+
+def _compute_step(R: FloatArray, d: FloatArray, from_R: FloatArray, from_d: FloatArray) -> FloatArray:
+    """Return the step (6,) of (w, d) between two motions."""
+    step = np.append(np.empty(3), d - from_d)
+    so3_log(R @ from_R.T, step[:3])
+    return step
+
+
+def compute_freedom(stack: Stack, fit: IrlsFit) -> float:
+    """Return the degrees of freedom that a motion and planes leave, as a share of the residuals."""
+    counts = np.add.reduceat(fit.weights > 0.0, stack.offsets[:-1], dtype=np.int64)
+    n_residuals, n_unknowns = max(2 * int(counts.sum()), 1), N_MOTION + int(np.minimum(counts, N_PLANE).sum())
+    return max(n_residuals - n_unknowns, 1) / n_residuals
+
+
 def find_likeliest_alternative(
-    fit: IrlsFit, minima: RefinedMinima, information: FloatArray, radius: float
+    stack: Stack, fit: IrlsFit, minima: RefinedMinima, information: FloatArray, radius: float
 ) -> AlternativeMotion | None:
     """Find the likeliest distinct minimum that is nearly as likely as the fit; far ones take precedence.
 
@@ -184,7 +292,9 @@ def find_likeliest_alternative(
     """
     best_one = int(np.argmin(minima.costs))
     excess_inliers = np.maximum(minima.inliers[best_one] - minima.inliers, 0.0)
-    max_costs = minima.costs[best_one] + MAX_LIKELIHOOD_LOSS + LOSS_PER_EXCESS_INLIER * excess_inliers
+    # The noise is estimated from the same residuals: with few degrees of freedom, that exaggerates differences.
+    max_loss = MAX_LIKELIHOOD_LOSS / compute_freedom(stack, fit)
+    max_costs = minima.costs[best_one] + max_loss + LOSS_PER_EXCESS_INLIER * excess_inliers
     is_likely = np.isfinite(minima.costs) & (minima.costs < max_costs)
     if is_likely.sum() < 2:
         return None
@@ -194,13 +304,9 @@ def find_likeliest_alternative(
     size = np.hypot(radius * np.linalg.norm(rotvec), np.linalg.norm(d))
     best: AlternativeMotion | None = None
     for k in np.argsort(minima.costs, kind="stable").tolist():
-        if not is_likely[k]:
-            continue
-        step = np.concatenate([np.empty(3), minima.translations[k] - d])
-        so3_log(minima.rotations[k] @ R.T, rotvec)
-        step[:3] = rotvec
-        if step @ information @ step > MIN_SEPARATION_SQUARE:
-            distance = np.hypot(radius * np.linalg.norm(rotvec), np.linalg.norm(step[3:]))
+        step = _compute_step(minima.rotations[k], minima.translations[k], R, d)
+        if is_likely[k] and step @ information @ step > MIN_SEPARATION_SQUARE:
+            distance = np.hypot(radius * np.linalg.norm(step[:3]), np.linalg.norm(step[3:]))
             is_distant = bool(distance > UNOBSERVABLE_RATIO * size)
             if best is None or (is_distant and not best.is_distant):
                 best = AlternativeMotion(minima.rotations[k], minima.translations[k], step, is_distant)
@@ -287,8 +393,7 @@ def refit_along_weak_direction(
         refit.candidate.translation[:] += step_length * along[3:]
         _, _, new_cost = run_constrained_irls(stack, usable, refit, SIGMA_FLOOR_PX, constraint)
         if np.isfinite(new_cost):
-            step = np.append(np.empty(3), refit.candidate.translation - fit.candidate.translation)
-            so3_log(refit.candidate.rotation @ fit.candidate.rotation.T, step[:3])
+            step = _compute_step(*refit.candidate[:2], *fit.candidate[:2])
             out.append((step, float(new_cost) - cost))
     return out
 
@@ -350,6 +455,18 @@ def compute_size_if_curved(fit: IrlsFit, radius: float) -> float:
         solve_factored(scaled, column)
         variance += column[i]
     return float(size) if variance > (WEAKLY_OBSERVED_SHARE * size) ** 2 else 0.0
+
+
+def compute_square_root(information: FloatArray, radius: float) -> FloatArray:
+    """Return (6, m) columns F such that F F' is the covariance of an information (6, 6); m is 0 if there is none.
+
+    Unobservable directions are bounded, as displacements of the surface at a radius.
+    """
+    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    if not values[-1] > 0:
+        return np.empty((6, 0))
+    return np.asarray(scale[:, None] * vectors / np.sqrt(np.maximum(values, HALF_DIGITS * values[-1])))
 
 
 def inflate(information: FloatArray, columns: FloatArray) -> FloatArray:
