@@ -69,6 +69,14 @@ def test_low_contrast_texture(low_contrast_clip: Clip) -> None:
     assert compute_pose_errors(tracked, low_contrast_clip.truth)[:, 0].max() < 2.0
 
 
+def test_position_jumps_while_rotation_is_slow() -> None:
+    """A plain object steps further than features are searched for near the prediction, in frame 12."""
+    variation = KINDS["plain"](np.random.default_rng([30, *b"plain"]))
+    frames = list(itertools.islice(variation.frames(), 14))
+    tracked = list(track(frames, variation.scene.rig, variation.boxes, seed=30))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (len(frames) - 1)
+
+
 def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(state_machine, "find_pose_with_all_features", lambda _team, joint, *_: (joint, None))
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))

@@ -2,9 +2,10 @@
 
 Each camera uses only its own images; all arrive at the same pose because it depends on exchanged reports alone.
 
-The search with all features runs only after the usual one has failed, before a frame is left without a pose: it takes
-many times as long. It detects all features in the frame and in the last solved one, uses all nearby keyframes, and
-accepts matches that are distinctive only among features near the projection.
+Guided matching runs only after the usual search has failed, before a frame is left without a pose. It uses the nearest
+keyframes, accepts matches that are distinctive only among features near the projection, and finds a position that is far
+from the predicted one. For objects that are fast or poor in features, all features of the frame and of the last solved
+one are detected before: that takes many times as long.
 """
 
 from __future__ import annotations
@@ -31,9 +32,12 @@ from sylpose.tracking.camera_side.camera import (
 )
 from sylpose.tracking.camera_side.frame import (
     CameraPairs,
+    FrameMatches,
+    Pairs,
     SearchArea,
     add_evidence,
     measure_agreement,
+    omit_empty,
 )
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.first_motion import is_box_center_static, is_replaced, select_static_matches, update_from_matches
@@ -48,7 +52,7 @@ from sylpose.tracking.joint_side.joint_state import (
     select_references,
     synchronize_rig,
 )
-from sylpose.tracking.reports import Agreements, PoseAgreement, TrackingReport
+from sylpose.tracking.reports import Agreements, PoseAgreement, RelocalizationMatches, TrackingReport
 
 # An object that rotates by more than this per frame, radians, shows another side each time (measured:
 # benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
@@ -70,6 +74,12 @@ MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 0.5, 15
 # Search radius around a landmark's projection at a predicted pose, as a share of the object's radius in the image
 # (choice).
 PREDICTED_RADIUS = 0.15
+# The same where the translation is searched for. A prediction is used while its position is known to within the radius
+# (derived: `JointState.coast`).
+TRANSLATION_RADIUS = 1.0
+# Number of translations compared, each of two matches: if a tenth of the matches are true, the probability that no sample
+# has two of them is 0.7 % (derived).
+N_TRANSLATIONS = 500
 # Excess features of a wrong pose over chance, since it was fitted to them (derived).
 SELECTION_BIAS = 6 * SELECTED_PER_UNKNOWN
 # With all features, static ones in the regions agree with each other, and only those once the object has left: this
@@ -383,13 +393,22 @@ def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransf
     return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
 
 
-# --- all features -----------------------------------------------------------------------------------------------------
+# --- guided matching --------------------------------------------------------------------------------------------------
 
 
 def find_pose_with_all_features(
     context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
 ) -> SearchResult:
-    """Search for the frame's pose with all features, from matches and from the prediction.
+    """Search for the frame's pose by guided matching of all features. See `find_pose_by_guided_matching`."""
+    frame = context.with_features(frame, context.detect(frame, faint=True))
+    _add_remaining_features(context, state)
+    return _search_by_guided_matching(context, state, frame, predicted_pose)
+
+
+def find_pose_by_guided_matching(
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> SearchResult:
+    """Search for the frame's pose from matches anywhere and near projections.
 
     Args:
         frame: with regions.
@@ -398,9 +417,16 @@ def find_pose_with_all_features(
     Returns:
         the state; the best candidate, or None.
     """
+    # Tracked features would match their own descriptors, whatever the image shows.
+    frame = context.with_features(frame, context.detect(frame, faint=False))
+    return _search_by_guided_matching(context, state, frame, predicted_pose)
+
+
+def _search_by_guided_matching(
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> SearchResult:
+    """Search among the frame's features. See `find_pose_by_guided_matching`."""
     frame = replace(frame, tracked=None, has_new_features=True)
-    frame = context.with_features(frame, context.detect(frame, faint=True))
-    _add_remaining_features(context, state)
     references = _select_nearby(context, state, predicted_pose)
     matches = context.executor.run(CameraTracker.match, context.cameras, frame.cameras, references)
     pairs: CameraPairs = context.drop_static_matches(state, frame, matches, predicted_pose)
@@ -413,8 +439,10 @@ def find_pose_with_all_features(
     solve_near = partial(_solve_near_pose, context, young, frame, predicted_pose)
     candidates = [solve_pose(context, state, frame, pairs, predicted_pose)]
     if state.motion.velocity.n_frames or matched_pose is not None:
-        near = solve_near(predicted_pose, PREDICTED_RADIUS)
-        candidates += [near] if near is not None and is_near_start(state, near, predicted_pose) else []
+        translated_pose, voters = _find_translated_pose(context, young, frame, predicted_pose)
+        near = solve_near(predicted_pose, PREDICTED_RADIUS), solve_pose(context, young, frame, voters, translated_pose)
+        starts = zip(near, (predicted_pose, translated_pose), strict=True)
+        candidates += [one for one, start in starts if one is not None and is_near_start(state, one, start)]
     found = [candidate for candidate in candidates if candidate is not None]
     # Solve again from all matches near a solution's projections.
     found += [refined for one in found if (refined := solve_near(one.pose, SOLVED_RADIUS)) is not None]
@@ -425,6 +453,81 @@ def find_pose_with_all_features(
     ]
     best = max(supported, key=partial(_compute_score, context, state), default=None)
     return state, best if best is not None and _is_significant(context, state, best) else None
+
+
+def _find_translated_pose(
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> tuple[RigidTransform, CameraPairs]:
+    """Find the translation of a predicted pose by votes of matches around its projections.
+
+    A prediction's rotation is usually better than its position, as seen from the size of the object. Matches of the whole
+    radius are distinctive among more features than those near a projection: fewer of them are wrong.
+
+    Returns:
+        the translated pose; per camera, local: the matches that voted for it.
+    """
+    pairs = _match_near_pose(context, state, frame, predicted_pose, predicted_pose, TRANSLATION_RADIUS)
+    matches = [_collect_places(own) for own in pairs]
+    gathered = context.executor.gather(matches, RelocalizationMatches())
+    translation = find_translation(context.rig, gathered, predicted_pose, state.object.radius, context.seed)
+    pose = RigidTransform.from_translation(translation) * predicted_pose
+    areas = _make_search_areas(context, state, pose, PREDICTED_RADIUS)
+    return pose, context.executor.run(_select_in_area, context.cameras, pairs, areas)
+
+
+def _collect_places(pairs: Pairs) -> RelocalizationMatches:
+    """Collect a camera's matches; of a feature that matches other landmarks in several keyframes, one may be right."""
+    return RelocalizationMatches(
+        np.concatenate([np.empty((0, 3)), *(pair.landmarks.mean for pair in pairs)]),
+        np.concatenate([np.empty((0, 2)), *(pair.pixels_j for pair in pairs)]),
+    )
+
+
+def _select_in_area(camera: CameraTracker, pairs: Pairs, area: SearchArea) -> list[FrameMatches]:
+    """Select a camera's matches near their landmarks' projections."""
+    projected = [camera.camera.project(area.pose.apply(pair.landmarks.mean)) for pair in pairs]
+    return omit_empty(
+        pair.subset(np.linalg.norm(pair.pixels_j - pixels, axis=1) < area.radius_px)
+        for pair, pixels in zip(pairs, projected, strict=True)
+    )
+
+
+def find_translation(
+    rig: Rig, matches: Sequence[RelocalizationMatches], pose: RigidTransform, radius: float, seed: int
+) -> FloatArray:
+    """Find the translation (3,) of a pose that most matches agree with.
+
+    Each match restricts it to a line: that of the landmark, moved to its pixel's ray. Two of them at a time are sampled.
+
+    Args:
+        matches: per camera.
+        pose: world_from_object; its rotation is kept.
+        radius: of the object: matches agree within `PREDICTED_RADIUS` of it, translations are less than it.
+        seed: of the sampling.
+    """
+    lines = [
+        (
+            np.column_stack([camera.normalize(own.pixels), np.ones(len(own.pixels))]) @ camera.rotation,
+            camera.center - pose.apply(own.points),
+        )
+        for camera, own in zip(rig, matches, strict=True)
+        if len(own.points)
+    ]
+    if not lines:
+        return np.zeros(3)
+    rays, origins = (np.concatenate(parts) for parts in zip(*lines, strict=True))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    nearest = np.einsum("nij,nj->ni", across, origins)
+    i, j = np.random.default_rng(seed).integers(len(rays), size=(2, N_TRANSLATIONS))
+    # Two lines of one camera are nearly parallel: translations are at most a radius, and true lines hardly off.
+    weak_prior = SOLVED_RADIUS**2 * np.eye(3)
+    sampled = np.linalg.solve(across[i] + across[j] + weak_prior, (nearest[i] + nearest[j])[..., None])[..., 0]
+    sampled = np.concatenate([np.zeros((1, 3)), sampled[np.linalg.norm(sampled, axis=1) < radius]])
+    outer = np.einsum("mi,mj->mij", sampled, sampled).reshape(-1, 9)
+    squared = outer @ across.reshape(-1, 9).T - 2.0 * sampled @ nearest.T + (nearest**2).sum(axis=1)
+    votes = np.fmax(1.0 - squared / (PREDICTED_RADIUS * radius) ** 2, 0.0).sum(axis=1)
+    return np.asarray(sampled[np.argmax(votes)])
 
 
 def _is_significant(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
@@ -477,9 +580,22 @@ def _solve_near_pose(
         pose: world_from_object at which landmarks are projected.
         radius_ratio: search radius as a share of the object's radius in the image.
     """
+    pairs = _match_near_pose(context, state, frame, predicted_pose, pose, radius_ratio)
+    return solve_pose(context, state, frame, pairs, pose)
+
+
+def _match_near_pose(
+    context: Context,
+    state: JointState,
+    frame: Frame,
+    predicted_pose: RigidTransform,
+    pose: RigidTransform,
+    radius_ratio: float,
+) -> CameraPairs:
+    """Match landmarks near their projections at a pose. Arguments as of `_solve_near_pose`."""
     references, areas = _select_nearby(context, state, pose), _make_search_areas(context, state, pose, radius_ratio)
     pairs = context.executor.run(CameraTracker.match_near, context.cameras, frame.cameras, references, areas)
-    return solve_pose(context, state, frame, context.drop_static_matches(state, frame, pairs, predicted_pose), pose)
+    return context.drop_static_matches(state, frame, pairs, predicted_pose)
 
 
 def _compute_score(context: Context, state: JointState, candidate: PoseCandidate) -> float:

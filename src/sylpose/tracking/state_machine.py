@@ -27,6 +27,7 @@ from sylpose.tracking.pose_search import (
     PoseCandidate,
     detect_in_regions,
     find_pose,
+    find_pose_by_guided_matching,
     find_pose_with_all_features,
     is_fast,
     is_near_start,
@@ -83,9 +84,14 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
     if candidate is None or is_weakly_supported(context, state, candidate):
         fallback = None
         is_costly = state.is_feature_poor or is_fast(state, predicted_pose)
-        if is_costly and context.has_time_for("all features"):
-            with context.measure_search("all features", 1.0):
-                state, fallback = find_pose_with_all_features(context, state, frame, predicted_pose)
+        kind, search = (
+            ("all features", find_pose_with_all_features)
+            if is_costly
+            else ("guided matching", find_pose_by_guided_matching)
+        )
+        if (is_costly or candidate is None) and context.has_time_for(kind):
+            with context.measure_search(kind, 1.0):
+                state, fallback = search(context, state, frame, predicted_pose)
         if fallback is not None and is_side_ambiguous(context, state, fallback, predicted_pose):
             fallback = None
         if fallback is not None or not _is_plausible(context, state, candidate, predicted_pose):
