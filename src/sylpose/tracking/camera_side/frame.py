@@ -624,7 +624,9 @@ def add_evidence(
     usable = [pair for pair in moving if len(pair) >= MIN_EVIDENCE_MATCHES]
     if pose is None or not usable:
         return agreement
-    pair = usable[int(np.argmax([((pair.pixels_j - pair.pixels_i) ** 2).sum() for pair in usable]))]
+    # Repetitive patterns have mismatches that are a period long.
+    moved = [len(pair) * np.median(((pair.pixels_j - pair.pixels_i) ** 2).sum(axis=1)) for pair in usable]
+    pair = usable[int(np.argmax(moved))]
     first = earlier[pair.reference]
     assert first is not None
     rotation = pose[:3, :3] @ first[:3, :3].T
