@@ -595,6 +595,14 @@ def measure_agreement(pairs: Pairs, match_weights: MatchWeights, current: Camera
     )
 
 
+def sum_typical_displacement(pair: FrameMatches) -> float:
+    """Return about the sum of squared displacements, pixels.
+
+    It is that of the median: patterns that repeat have mismatches that are a period long.
+    """
+    return float(len(pair) * np.median(((pair.pixels_j - pair.pixels_i) ** 2).sum(axis=1)))
+
+
 def add_evidence(
     agreement: PoseAgreement,
     pairs: Pairs,
@@ -624,9 +632,7 @@ def add_evidence(
     usable = [pair for pair in moving if len(pair) >= MIN_EVIDENCE_MATCHES]
     if pose is None or not usable:
         return agreement
-    # Repetitive patterns have mismatches that are a period long.
-    moved = [len(pair) * np.median(((pair.pixels_j - pair.pixels_i) ** 2).sum(axis=1)) for pair in usable]
-    pair = usable[int(np.argmax(moved))]
+    pair = max(usable, key=sum_typical_displacement)
     first = earlier[pair.reference]
     assert first is not None
     rotation = pose[:3, :3] @ first[:3, :3].T
