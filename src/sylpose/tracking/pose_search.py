@@ -10,7 +10,7 @@ one are detected before: that takes many times as long.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -437,14 +437,32 @@ def _search_by_guided_matching(
     # Where another side comes into view all landmarks are young, and the prediction may be used.
     young = replace(state, frames=replace(state.frames, last=replace(state.last, landmark_age=1.0)))
     solve_near = partial(_solve_near_pose, context, young, frame, predicted_pose)
-    candidates = [solve_pose(context, state, frame, pairs, predicted_pose)]
-    if state.motion.velocity.n_frames or matched_pose is not None:
+    candidates, is_predicted = [solve_pose(context, state, frame, pairs, predicted_pose)], matched_pose is not None
+    if is_predicted or state.motion.velocity.n_frames:
+        is_predicted, near = True, solve_near(predicted_pose, PREDICTED_RADIUS)
+        candidates += [near] if near is not None and is_near_start(state, near, predicted_pose) else []
+    best = _select_candidate(context, state, candidates, solve_near)
+    # Where the cameras contradict each other, features of a body that has come to lie on the object may be landmarks.
+    if best is None and is_predicted and not state.last.is_contradicted:
         translated_pose, voters = _find_translated_pose(context, young, frame, predicted_pose)
-        near = solve_near(predicted_pose, PREDICTED_RADIUS), solve_pose(context, young, frame, voters, translated_pose)
-        starts = zip(near, (predicted_pose, translated_pose), strict=True)
-        candidates += [one for one, start in starts if one is not None and is_near_start(state, one, start)]
+        candidate = solve_pose(context, young, frame, voters, translated_pose)
+        if candidate is not None and is_near_start(state, candidate, translated_pose):
+            best = _select_candidate(context, state, [candidate], solve_near)
+    return state, best
+
+
+def _select_candidate(
+    context: Context,
+    state: JointState,
+    candidates: Sequence[PoseCandidate | None],
+    solve_near: Callable[[RigidTransform, float], PoseCandidate | None],
+) -> PoseCandidate | None:
+    """Select the best of those candidates, and of poses from matches near their projections, that are supported.
+
+    Args:
+        solve_near: `_solve_near_pose` of the frame.
+    """
     found = [candidate for candidate in candidates if candidate is not None]
-    # Solve again from all matches near a solution's projections.
     found += [refined for one in found if (refined := solve_near(one.pose, SOLVED_RADIUS)) is not None]
     supported = [
         one
@@ -452,7 +470,7 @@ def _search_by_guided_matching(
         if not state.may_be_background(one.agreements, MIN_MOVED_RATIO) and not is_weakly_supported(context, state, one)
     ]
     best = max(supported, key=partial(_compute_score, context, state), default=None)
-    return state, best if best is not None and _is_significant(context, state, best) else None
+    return best if best is not None and _is_significant(context, state, best) else None
 
 
 def _find_translated_pose(
