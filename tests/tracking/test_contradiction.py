@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.commands.main import main
-from sylpose.geometry.arrays import FloatArray, Image
+from sylpose.geometry.arrays import Image
 from sylpose.methods import METHODS
 from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MIN_KEPT_POOLED, CameraEvidence
 from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
-from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, sum_typical_displacement
 from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
@@ -152,21 +150,6 @@ def test_two_cameras_of_three_are_no_evidence_for_a_motion_that_the_third_does_n
         [measure_f_ratio(its, MIN_KEPT_POOLED) for its in (alone, [*alone, silent], [agreeing] * 3)]
     ).all()
     assert np.isnan([measure_f_ratio([*alone, its], MIN_KEPT_POOLED) for its in (others, PoseAgreement())]).all()
-
-
-def make_matches(shifts: FloatArray) -> FrameMatches:
-    n = len(shifts)
-    before, indices = np.zeros((n, 2)), np.column_stack([np.arange(n)] * 2)
-    after = np.column_stack([shifts, np.zeros(n)])
-    return FrameMatches(0, cast(CameraFrame, None), indices, before, after, before, after, np.zeros(n, bool))
-
-
-def test_mismatches_do_not_choose_the_evidence() -> None:
-    near, far = make_matches(np.full(20, 8.0)), make_matches(np.full(20, 12.0))
-    assert sum_typical_displacement(far) > sum_typical_displacement(near) == pytest.approx(20 * 8.0**2)
-    # A period of 100 pixels.
-    mismatched = make_matches(np.r_[np.full(14, 8.0), np.full(6, 108.0)])
-    assert sum_typical_displacement(mismatched) == sum_typical_displacement(near)
 
 
 def test_last_frames_are_pooled() -> None:

@@ -23,7 +23,11 @@ from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, LandmarkTable
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
-from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidence, compare_motions
+from sylpose.relative_pose.camera_evidence import (
+    CLOCK_SD_FRAMES,
+    CameraEvidence,
+    compare_motions,
+)
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
 from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
@@ -595,14 +599,6 @@ def measure_agreement(pairs: Pairs, match_weights: MatchWeights, current: Camera
     )
 
 
-def sum_typical_displacement(pair: FrameMatches) -> float:
-    """Return about the sum of squared displacements, pixels.
-
-    It is that of the median: patterns that repeat have mismatches that are a period long.
-    """
-    return float(len(pair) * np.median(((pair.pixels_j - pair.pixels_i) ** 2).sum(axis=1)))
-
-
 def add_evidence(
     agreement: PoseAgreement,
     pairs: Pairs,
@@ -632,7 +628,9 @@ def add_evidence(
     usable = [pair for pair in moving if len(pair) >= MIN_EVIDENCE_MATCHES]
     if pose is None or not usable:
         return agreement
-    pair = max(usable, key=sum_typical_displacement)
+    # About the sum of squared displacements: patterns that repeat have mismatches that are a period long.
+    moved = [len(pair) * np.median(((pair.pixels_j - pair.pixels_i) ** 2).sum(axis=1)) for pair in usable]
+    pair = usable[int(np.argmax(moved))]
     first = earlier[pair.reference]
     assert first is not None
     rotation = pose[:3, :3] @ first[:3, :3].T
