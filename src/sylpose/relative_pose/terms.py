@@ -516,7 +516,7 @@ def _balance_sizes(
     """Move a point along a direction (3,) so that the object is equally large from all cameras.
 
     A ray misses the object's center by about `OFFSET_SD` radii, and the size that it appears to have varies by the same
-    share.
+    share. Nothing is done where the rays determine the point better than the sizes.
 
     Args:
         spread: (T,) its size in the images, normalized units.
@@ -524,8 +524,6 @@ def _balance_sizes(
         certainty: sum of the squared sines between it and the rays.
         point: (3,) changed.
     """
-    if not certainty < 1.0:
-        return  # it is as certain as across a single ray
     if not spread.min() > 0.0:
         return
     n, start, to_middle = len(rays), point.copy(), 0.0
@@ -547,10 +545,12 @@ def _balance_sizes(
         radius, growth = 2.0 * compute_sum(spread * depth) / n, along / depth
         log_size -= compute_sum(log_size) / n
         growth -= compute_sum(growth) / n
-        stiffness = certainty / radius**2 + dot(growth, growth)
-        if not stiffness > HALF_DIGITS / radius**2:
-            return  # the rays are parallel, and the depths equal
-        step, bound = -(certainty / radius**2 * shift + dot(growth, log_size)) / stiffness, 0.5 * depth.min()
+        contrast = dot(growth, growth) * radius**2
+        if not contrast > max(certainty, HALF_DIGITS):
+            point[:] = start
+            return  # the rays determine it better
+        step = -(certainty * shift + dot(growth, log_size) * radius**2) / (certainty + contrast)
+        bound = 0.5 * depth.min()
         step = min(max(step, -bound), bound)
         point += step * direction
         _measure_depths(centers, rays, point, depth)

@@ -23,11 +23,7 @@ from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, LandmarkTable
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
-from sylpose.relative_pose.camera_evidence import (
-    CLOCK_SD_FRAMES,
-    CameraEvidence,
-    compare_motions,
-)
+from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidence, compare_motions
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
 from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
