@@ -18,7 +18,7 @@ from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmark
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, Scene, TexturedBody
 from sylpose.status import FrameStatus
-from sylpose.tracking import state_machine
+from sylpose.tracking import relocalization, state_machine
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background
 from sylpose.tracking.context import Context, Frame
@@ -78,7 +78,7 @@ def test_position_jumps_while_rotation_is_slow() -> None:
 
 
 def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(state_machine, "find_pose_with_all_features", lambda _team, joint, *_: (joint, None))
+    monkeypatch.setattr(relocalization, "find_pose_with_all_features", lambda _team, joint, *_: (joint, None))
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
     assert compute_pose_errors(tracked, low_contrast_clip.truth)[:, 0].max() < 2.0

@@ -21,13 +21,14 @@ from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
 from sylpose.status import FrameStatus, Status
-from sylpose.tracking import initialization
+from sylpose.tracking import initialization, relocalization
 from sylpose.tracking.bodies import find_bodies, has_rival
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, compute_static_px
 from sylpose.tracking.context import Context, Frame, FrameResult, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion
 from sylpose.tracking.joint_side.joint_state import JointState
 from sylpose.tracking.options import TrackingOptions
+from sylpose.tracking.pose_search import SearchResult
 from sylpose.tracking.tracker import track
 from tests.clips import statuses
 
@@ -382,3 +383,21 @@ def test_buffered_frame_may_determine_depth(monkeypatch: pytest.MonkeyPatch) -> 
         assert pose is not None
         off = pose * (truth[frame.pose.index] * truth[0].inv() * tracked[0].pose.world_from_object).inv()
         assert np.degrees(off.rotation.magnitude()) < 1.0
+
+
+def test_scattered_buffered_frame_has_no_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A buffered frame whose features scatter as by chance is searched again, here without result."""
+    find = initialization.find_pose
+
+    def find_scattered(context: Context, state: JointState, frame: Frame, pose: RigidTransform) -> SearchResult:
+        state, candidate = find(context, state, frame, pose)
+        if candidate is not None and frame.number == 1:
+            agreements = tuple(replace(agreement, noise_px=100.0) for agreement in candidate.agreements)
+            candidate = replace(candidate, agreements=agreements)
+        return state, candidate
+
+    monkeypatch.setattr(initialization, "find_pose", find_scattered)
+    monkeypatch.setattr(relocalization, "find_pose_with_all_features", lambda _, state, *__: (state, None))
+    take = KINDS["jumps-15"](np.random.default_rng([1, *b"jumps-15"]))
+    tracked = list(track(islice(take.frames(), 3), take.scene.rig, take.boxes, seed=1, workers=1))
+    assert statuses(tracked) == [FrameStatus.FIRST, FrameStatus.LOST, FrameStatus.TRACKED]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -22,9 +23,11 @@ from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.relocalization import (
     N_KEYFRAMES,
     estimate_relocalized_pose,
+    has_known_references,
     match_keyframes,
     select_keyframes,
 )
+from sylpose.tracking.reports import PoseAgreement
 from tests.clips import SIZE, Clip, Images, make_rotated_pose, moving_scene, surface_points
 
 # Rotations of the keyframes, and the positions of the object.
@@ -265,3 +268,14 @@ def test_relocalization_does_not_modify_keyframes(clip: Clip, keyframes: list[Ke
     np.testing.assert_array_equal(one.as_matrix(), two.as_matrix())
     for r, mean in zip(keyframes, before, strict=True):
         np.testing.assert_array_equal(Landmarks.concatenate([m.landmarks for m in r.cameras]).mean, mean)
+
+
+def test_pose_rests_on_known_frames_only() -> None:
+    """A search that starts again from the first frame discards the frames that an earlier candidate rests on."""
+    agreements = [PoseAgreement(references=(0, 2)), PoseAgreement(references=(2,)), PoseAgreement()]
+    candidate = cast(Any, SimpleNamespace(agreements=agreements))
+    before, after = (
+        cast(Any, SimpleNamespace(frames=SimpleNamespace(by_number=known))) for known in ({0: 0, 2: 0}, {0: 0})
+    )
+    assert has_known_references(before, candidate)
+    assert not has_known_references(after, candidate)

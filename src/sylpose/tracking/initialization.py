@@ -41,7 +41,8 @@ from sylpose.tracking.first_motion import (
 from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle_missing_object
-from sylpose.tracking.pose_search import find_pose
+from sylpose.tracking.pose_search import find_pose, is_scattered
+from sylpose.tracking.relocalization import search_again
 from sylpose.tracking.reports import quantize_positions
 
 # Without boxes the object is unknown until it moves: frames are buffered with their features, and with their images up
@@ -304,6 +305,8 @@ def _solve_buffered_frame(context: Context, state: JointState, frame: Frame, pos
     inside = context.executor.run(detect_inside, context.cameras, frame.features, regions)
     frame = context.with_features(replace(frame, regions=regions), inside)
     state, candidate = find_pose(context, state, frame, pose)
+    if candidate is None or is_scattered(context, state, candidate):
+        state, candidate = search_again(context, state, frame, pose, candidate)
     if candidate is None:
         return handle_missing_object(context, state, frame, pose)
     return accept_frame(context, state, candidate)

@@ -14,7 +14,7 @@ The features are matched with some keyframes, in rotation (`relocalize`), and th
 During live tracking `search_clock` limits the pixels further.
 
 The search with all features takes as long as several usual ones. It is only done for objects whose tracked frames take
-as long: those that jump.
+as long: those that jump. Frames whose pose is weakly supported are searched again (`search_again`).
 """
 
 from __future__ import annotations
@@ -49,9 +49,12 @@ from sylpose.tracking.pose_search import (
     SearchResult,
     detect_in_regions,
     find_pose,
+    find_pose_by_guided_matching,
     find_pose_with_all_features,
+    is_fast,
     is_jumping,
     is_near_start,
+    is_scattered,
     is_weakly_supported,
 )
 from sylpose.tracking.reports import RelocalizationMatches
@@ -289,6 +292,60 @@ def select_keyframes(keyframes: Sequence[SolvedFrame], camera: int, last: Solved
     stride = max(len(others) // N_KEYFRAMES, 1)
     order = np.argsort(np.argsort(np.arange(stride) * GOLDEN_RATIO % 1.0))
     return nearest + others[order[count % stride] :: stride]
+
+
+# --- frames without a well-supported pose -----------------------------------------------------------------------------
+
+
+def search_again(
+    context: Context,
+    state: JointState,
+    frame: Frame,
+    predicted_pose: RigidTransform,
+    candidate: PoseCandidate | None,
+) -> SearchResult:
+    """Search a frame thoroughly in which no well-supported pose was found.
+
+    Args:
+        frame: with features and regions.
+        predicted_pose: predicted world_from_object.
+        candidate: a weakly supported pose, the result if no other pose is found and it is plausible; or None.
+    """
+    is_costly, fallback = state.is_feature_poor or is_fast(state, predicted_pose), None
+    kind, search = (
+        ("all features", find_pose_with_all_features)
+        if is_costly
+        else ("guided matching", find_pose_by_guided_matching)
+    )
+    if (is_costly or candidate is None) and context.has_time_for(kind):
+        with context.measure_search(kind, 1.0):
+            state, fallback = search(context, state, frame, predicted_pose)
+    if fallback is not None and is_side_ambiguous(context, state, fallback, predicted_pose):
+        fallback = None
+    if fallback is None and _is_plausible(context, state, candidate, predicted_pose):
+        return state, candidate
+    return state, fallback
+
+
+def _is_plausible(
+    context: Context, state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform
+) -> bool:
+    """Return whether a weakly supported pose is plausible nevertheless.
+
+    It is near the predicted pose of a slow object, and its features do not scatter as by chance.
+    """
+    if candidate is None or not has_known_references(state, candidate) or is_scattered(context, state, candidate):
+        return False
+    return not is_fast(state, predicted_pose) and is_near_start(state, candidate, predicted_pose)
+
+
+def has_known_references(state: JointState, candidate: PoseCandidate) -> bool:
+    """Return whether all frames that a pose rests on are still known.
+
+    A search that starts again from the first frame discards the others, with all landmarks of poses found before.
+    """
+    known = state.frames.by_number
+    return all(number in known for agreement in candidate.agreements for number in agreement.references)
 
 
 # --- repetitive patterns ----------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import FrameSet
 from sylpose.tracking.anchor_preparation import begin_preparation, can_prepare, join_anchor
@@ -24,18 +23,12 @@ from sylpose.tracking.initialization import BufferedFrame, initialize_tracking
 from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, JointState, Nudge
 from sylpose.tracking.map_update import accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import (
-    PoseCandidate,
     detect_in_regions,
     find_pose,
-    find_pose_by_guided_matching,
-    find_pose_with_all_features,
-    is_fast,
-    is_near_start,
-    is_scattered,
     is_weakly_supported,
     track_from_anchor,
 )
-from sylpose.tracking.relocalization import is_side_ambiguous, search_lost_object
+from sylpose.tracking.relocalization import is_side_ambiguous, search_again, search_lost_object
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.window import apply_refinement
 
@@ -82,47 +75,13 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
         frame = detect_in_regions(context, state, frame, predicted_pose)
         state, candidate = find_pose(context, state, frame, predicted_pose)
     if candidate is None or is_weakly_supported(context, state, candidate):
-        fallback = None
-        is_costly = state.is_feature_poor or is_fast(state, predicted_pose)
-        kind, search = (
-            ("all features", find_pose_with_all_features)
-            if is_costly
-            else ("guided matching", find_pose_by_guided_matching)
-        )
-        if (is_costly or candidate is None) and context.has_time_for(kind):
-            with context.measure_search(kind, 1.0):
-                state, fallback = search(context, state, frame, predicted_pose)
-        if fallback is not None and is_side_ambiguous(context, state, fallback, predicted_pose):
-            fallback = None
-        if fallback is not None or not _is_plausible(context, state, candidate, predicted_pose):
-            candidate = fallback
+        state, candidate = search_again(context, state, frame, predicted_pose, candidate)
     if candidate is None:
         return handle_missing_object(context, state, frame, predicted_pose)
     state, tracked = accept_frame(context, state, candidate)
     if needs_anchor_soon and not candidate.frame.has_new_features and can_prepare(state):
         state = begin_preparation(context, state, candidate)
     return state, tracked
-
-
-def _is_plausible(
-    context: Context, state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform
-) -> bool:
-    """Return whether a weakly supported pose is plausible nevertheless.
-
-    It is near the predicted pose of a slow object, and its features do not scatter as by chance.
-    """
-    if candidate is None or not has_known_references(state, candidate) or is_scattered(context, state, candidate):
-        return False
-    return not is_fast(state, predicted_pose) and is_near_start(state, candidate, predicted_pose)
-
-
-def has_known_references(state: JointState, candidate: PoseCandidate) -> bool:
-    """Return whether all frames that a pose rests on are still known.
-
-    A search that starts again from the first frame discards the others, with all landmarks of poses found before.
-    """
-    known = state.frames.by_number
-    return all(number in known for agreement in candidate.agreements for number in agreement.references)
 
 
 # --- an object that was missed in the previous frame ------------------------------------------------------------------
