@@ -16,9 +16,9 @@ import pytest
 
 import sylpose
 from sylpose.commands.main import main
-from sylpose.relative_pose.solver import warm_up
 from sylpose.runs import installation
 from sylpose.runs.installation import Diagnosis, diagnose
+from sylpose.runs.precompile import compile_all
 from tests.paths import REPOSITORY
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -40,7 +40,7 @@ def use_project_requirements(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_working_installation(capsys: pytest.CaptureFixture[str]) -> None:
-    warm_up()
+    compile_all()
     assert main(["doctor"]) == 0
     output = capsys.readouterr().out
     assert output.startswith(f"sylpose       {sylpose.__version__} in {Path(sylpose.__file__).parent}\n")

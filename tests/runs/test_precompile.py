@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
-import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 
 import sylpose
 from sylpose.geometry import kernel_cache
-from sylpose.relative_pose import robust_fit
-from sylpose.relative_pose.solver import warm_up
+from sylpose.relative_pose import uncertainty
 from sylpose.runs import precompile
 from sylpose.runs.console_output import make_console
 
 
 @pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Record the parts compiled in other processes; the remaining kernel is not compiled."""
+    """Record the parts compiled in other processes, and compile none."""
     arguments: list[str] = []
-    monkeypatch.setattr(precompile, "_compile_in_subprocess", arguments.append)
+    monkeypatch.setattr(precompile, "_compile_in_subprocess", lambda part, **_: arguments.append(part))
     monkeypatch.setattr(precompile, "available_cores", lambda: 2)
     return arguments
 
@@ -35,19 +35,25 @@ def installed(elsewhere: list[str], monkeypatch: pytest.MonkeyPatch) -> list[str
     return elsewhere
 
 
+def compile_here() -> None:
+    """Compile all parts, or load them."""
+    for part in precompile.PARTS:
+        precompile.compile_part(part)
+
+
 def test_compiled_kernels_are_reused(elsewhere: list[str]) -> None:
-    warm_up()
+    compile_here()
     assert precompile.is_compiled()
     precompile.compile_all()
     assert not elsewhere
 
 
 def test_outdated_kernels_count_as_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    warm_up()
+    compile_here()
     with monkeypatch.context() as other:
         other.setattr(kernel_cache, "compute_digest", lambda _: "of other sources")
         assert not precompile.is_compiled()
-    kernel: Any = robust_fit.fit_robust_motion
+    kernel: Any = uncertainty.triangulate_planes
     monkeypatch.setattr(type(kernel.targetctx.codegen()), "magic_tuple", lambda _: ("another", "processor", ""))
     assert not precompile.is_compiled()
 
@@ -70,36 +76,45 @@ def test_no_processes_without_cache_folder(installed: list[str], monkeypatch: py
 def test_single_core_compiles_in_one_process(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
     monkeypatch.setattr(precompile, "available_cores", lambda: 1)
-    monkeypatch.setattr(precompile, "PARTS", {"a": (1.0, lambda: ran.append("a")), "b": (2.0, lambda: ran.append("b"))})
+    parts = {name: precompile.Part(partial(ran.append, name), None) for name in "ab"}
+    monkeypatch.setattr(precompile, "PARTS", parts)
     precompile.compile_all()
     assert (ran, installed) == (["a", "b"], [])
 
 
-@pytest.mark.parametrize("name", ["__pycache__", "chosen"])
-def test_progress_is_the_new_machine_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """It grows from kernel to kernel, also where outdated ones are replaced, and ends before all is compiled."""
-    monkeypatch.setattr(precompile, "CODE_BYTES", 1000.0)
-    monkeypatch.setattr(precompile, "WATCH_SECONDS", 0.01)
-    monkeypatch.setattr(precompile, "display_folder", lambda _: tmp_path)
-    folder = tmp_path / "features" / name if name == "__pycache__" else tmp_path / name
-    folder.mkdir(parents=True)
-    (folder / "old.nbc").write_bytes(bytes(400))
-    (folder / "used.nbc").write_bytes(bytes(300))
-    done, reported = list[float](), threading.Event()
+def test_progress_is_the_share_of_functions(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It grows with each function that a process has compiled, and ends before all are."""
 
-    def report(share: float) -> None:
-        done.append(share)
-        reported.set()
+    def compile_three(part: str, on_compiled: Callable[[str], None]) -> None:
+        installed.append(part)
+        for name in "abc":
+            on_compiled(name)
 
-    with precompile._watch_cache(folder, report):
-        for kernel, size, expected in (("a", 200, 0.2), ("old", 401, 0.601), ("b", 900, 0.99)):
-            (folder / f"{kernel}.nbc").write_bytes(bytes(size))
-            deadline = time.monotonic() + 60.0
-            while (not done or done[-1] < expected) and time.monotonic() < deadline:
-                reported.wait(0.1)
-            assert done[-1] == pytest.approx(expected)
-    assert done == sorted(done)
-    assert done[-1] == 1.0
+    monkeypatch.setattr(precompile, "_compile_in_subprocess", compile_three)
+    monkeypatch.setattr(precompile, "N_FUNCTIONS", 10)
+    done = list[float]()
+    precompile.compile_all(done.append)
+    assert done == pytest.approx([min(k / 10, 0.99) for k in range(1, 3 * len(precompile.PARTS) + 1)] + [1.0])
+
+
+def test_functions_compiled_by_a_process_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    program, popen = [sys.executable, "-c", "print('first', 'second', sep=chr(10))"], subprocess.Popen
+    monkeypatch.setattr(subprocess, "Popen", lambda _, **options: popen(program, **options))
+    names = list[str]()
+    precompile._compile_in_subprocess("tracking", names.append)
+    assert names == ["first", "second"]
+
+
+def test_names_of_compiled_functions(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def double(value: float) -> float:
+        return 2.0 * value
+
+    compiled: Any = numba.njit(double)
+    monkeypatch.setattr(precompile, "PARTS", {"new": precompile.Part(partial(compiled, 1.0), compiled)})
+    precompile.main(["new", "new"])
+    assert capsys.readouterr().out.split()[-1].endswith("double")
+    precompile.main(["new"])
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("kept", [True, False])
@@ -130,7 +145,7 @@ def test_compilation_message_is_not_repeated(
 
 
 def test_no_message_if_compiled(capsys: pytest.CaptureFixture[str]) -> None:
-    warm_up()
+    compile_here()
     precompile.compile_with_progress(make_console())
     assert capsys.readouterr().out == ""
 
@@ -141,7 +156,7 @@ def test_every_part_runs(part: str) -> None:
 
 
 def test_compile_part_by_name() -> None:
-    command = [sys.executable, "-m", "sylpose.runs.precompile", "following"]
+    command = [sys.executable, "-m", "sylpose.runs.precompile", "tracking"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 

@@ -28,7 +28,7 @@ from sylpose.tracking.context import Context, Frame, FrameResult, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion
 from sylpose.tracking.joint_side.joint_state import JointState
 from sylpose.tracking.options import TrackingOptions
-from sylpose.tracking.pose_search import SearchResult
+from sylpose.tracking.pose_search import SearchResult, find_pose
 from sylpose.tracking.tracker import track
 from tests.clips import statuses
 
@@ -387,10 +387,9 @@ def test_buffered_frame_may_determine_depth(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_scattered_buffered_frame_has_no_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     """A buffered frame whose features scatter as by chance is searched again, here without result."""
-    find = initialization.find_pose
 
     def find_scattered(context: Context, state: JointState, frame: Frame, pose: RigidTransform) -> SearchResult:
-        state, candidate = find(context, state, frame, pose)
+        state, candidate = find_pose(context, state, frame, pose)
         if candidate is not None and frame.number == 1:
             agreements = tuple(replace(agreement, noise_px=100.0) for agreement in candidate.agreements)
             candidate = replace(candidate, agreements=agreements)

@@ -235,12 +235,12 @@ def _sample_patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatA
     """
     patches, contrast = np.empty((len(pixels), (2 * PATCH_RADIUS + 1) ** 2)), np.empty(len(pixels))
     channels = image.reshape(*image.shape[:2], -1)
-    _fill_patches(channels, pixels.astype(np.int64), step, patches, contrast)
+    fill_patches(channels, pixels.astype(np.int64), step, patches, contrast)
     return patches, contrast
 
 
 @kernel
-def _fill_patches(image: Image, pixels: IntArray, step: int, patches: FloatArray, contrast: FloatArray) -> None:
+def fill_patches(image: Image, pixels: IntArray, step: int, patches: FloatArray, contrast: FloatArray) -> None:
     """Fill patches (n, s) and contrast (n,), see `_sample_patches`, from an image (h, w, channels)."""
     n_channels, samples = image.shape[2], patches.shape[1]
     for n in range(len(pixels)):

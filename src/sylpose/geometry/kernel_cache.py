@@ -1,4 +1,8 @@
-"""Disk cache of compiled kernels.
+"""Compilation of kernels that others call, and disk cache of compiled kernels.
+
+Numba optimizes a function together with all that it calls, and again in each of its callers. Half of the time of
+compilation is saved by translating the callees only, and by optimizing each kernel that Python calls, with all below it,
+once.
 
 Numba keys its cache by a digest of the kernel's source file. But a kernel is compiled together with the functions that
 it calls and the constants that it refers to, wherever they are defined: after an update of those files Numba would load
@@ -30,6 +34,7 @@ from typing import Any
 import numpy as np
 from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
 from numba.core.dispatcher import Dispatcher
 
 # Visible by default: one or two minutes without output would look like a hang.
@@ -99,6 +104,39 @@ class _Locator:
 
     def get_disambiguator(self) -> str:
         return str(self._line)
+
+
+class _CalleeLibrary(JITCodeLibrary):
+    """Code of a function that compiled functions link with theirs and optimize; Python cannot call it."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        base: Any = super()
+        base._finalize_dynamic_globals()
+        self._finalized = True
+
+
+def postpone_optimization(callee: Any) -> None:
+    """Leave optimization and machine code of a dispatcher, which Python does not call, to its callers.
+
+    What Numba compiles for it, such as `numpy.empty`, is left to the callers as well.
+    """
+    compile_callee = callee._compiler.compile
+
+    def compile_for_callers(args: object, return_type: object) -> Any:
+        # Numba holds its compiler lock.
+        codegen = callee.targetctx.codegen()
+        before = codegen._library_class, codegen.set_env
+        codegen._library_class = _CalleeLibrary
+        codegen.set_env = lambda *_: None  # there is no machine code to be given an environment
+        try:
+            return compile_callee(args, return_type)
+        finally:
+            codegen._library_class, codegen.set_env = before
+
+    callee._compiler.compile = compile_for_callers
 
 
 @cache

@@ -8,6 +8,7 @@ unknowns do not need it, and each LAPACK call would add a second of compilation.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
@@ -16,7 +17,7 @@ from numba.core import types
 from numba.core.options import DefaultOptions
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.kernel_cache import enable_cache
+from sylpose.geometry.kernel_cache import enable_cache, postpone_optimization
 
 # Maximum sweeps of Jacobi's method: five or six are enough (choice).
 MAX_SWEEPS = 30
@@ -48,17 +49,20 @@ def leaf(function: F) -> F:
 
 
 def _make_dispatcher(function: Callable[..., object], **options: Any) -> Any:
-    """Return Numba's dispatcher of a function, with the disk cache."""
-    dispatcher: Any = enable_cache(numba.njit(nogil=True, error_model="numpy", **options)(function))
+    """Return Numba's dispatcher of a function, with the disk cache, and another compilation for its callers."""
+    njit: Any = partial(numba.njit, error_model="numpy", no_cfunc_wrapper=True, **options)
+    dispatcher = enable_cache(njit(nogil=True)(function))
     if dispatcher is not function:
-        resolve_call, unliteral = dispatcher.get_call_template, cast(Any, types.unliteral)
+        callee = njit(no_cpython_wrapper=True)(function)
+        postpone_optimization(callee)
+        resolve_call, unliteral = callee.get_call_template, cast(Any, types.unliteral)
 
         def resolve_without_literals(args: Sequence[Any], kws: Mapping[str, Any]) -> Any:
             # Numba would compile a callee for each number, True and False that callers write; also for the first values
             # of their variables, until it infers that these change.
             return resolve_call([unliteral(a) for a in args], {name: unliteral(a) for name, a in kws.items()})
 
-        dispatcher.get_call_template = resolve_without_literals
+        dispatcher.get_call_template, dispatcher.get_overload = resolve_without_literals, callee.get_overload
     return dispatcher
 
 

@@ -141,7 +141,7 @@ def compare_motions(
     focal: float,
     rotation: FloatArray,
     translation: FloatArray,
-    share_sd: float = 0.0,
+    share_sd: float,
 ) -> tuple[int, float, float, float, float]:
     """Compare a camera's own motion with the joint one.
 
@@ -196,7 +196,7 @@ def compare_term(
     """Compare the own motion of a term with the joint one; see `measure_excess` and `compare_motions`."""
     usable = find_usable(term.x, term.y, term.focal)
     motion = transfer_motion(term, center, rotation, translation)
-    return compare_motions(term.x[usable], term.y[usable], term.focal, *motion)
+    return compare_motions(term.x[usable], term.y[usable], term.focal, *motion, 0.0)
 
 
 def measure_distances(term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:

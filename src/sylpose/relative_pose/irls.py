@@ -153,7 +153,6 @@ def make_irls_start(stack: Stack, candidate: Candidate, sigma_px: FloatArray) ->
     return fit
 
 
-@kernel
 def run_irls(stack: Stack, usable: InlierPrior, fit: IrlsFit, min_sigma_px: float) -> tuple[int, float, float]:
     """Run re-weighted least squares from one motion, in place: `run_constrained_irls` without a constraint."""
     return run_constrained_irls(stack, usable, fit, min_sigma_px, np.zeros(6))

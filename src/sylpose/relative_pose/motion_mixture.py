@@ -445,7 +445,8 @@ def _split_displacements(squared_px: FloatArray, usable: BoolArray) -> tuple[flo
     sorted_px = np.sort(squared_px[usable & near])
     # A square of two coordinates is exponential; its mean is four times the variance of one keypoint coordinate.
     small_mean, large_mean = (max(float(part.mean()), 1e-12) for part in np.array_split(sorted_px, 2))
-    samples = sorted_px[:: 1 + len(sorted_px) // MAX_SAMPLES]  # a regular subset is sufficient
+    # A regular subset is sufficient; one memory layout is compiled.
+    samples = np.ascontiguousarray(sorted_px[:: 1 + len(sorted_px) // MAX_SAMPLES])
     share, small_mean, large_mean = _fit_exponentials(samples, small_mean, large_mean)
     odds, rate = (1.0 - share) / share * small_mean / large_mean, 1.0 / small_mean - 1.0 / large_mean
     static_probability = 1.0 / (1.0 + odds * np.exp(np.minimum(squared_px * rate, 700.0)))

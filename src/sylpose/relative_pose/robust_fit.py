@@ -14,7 +14,7 @@ from sylpose.relative_pose.irls import (
     IrlsFit,
     has_uniform_residuals,
     make_empty_irls_fit,
-    run_irls,
+    run_constrained_irls,
 )
 from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_ROUNDS, MIN_ERROR_PX, SIGMA_FLOOR_PX
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
@@ -103,7 +103,7 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
             trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
             trial.candidate.depth_model[:] = stack.depth_model_mean
             trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
-            done, new_decrease, cost = run_irls(stack, usable, trial, SIGMA_FLOOR_PX)
+            done, new_decrease, cost = run_constrained_irls(stack, usable, trial, SIGMA_FLOOR_PX, np.zeros(6))
             iterations, k = iterations + done, MAX_MINIMA * pass_index + m
             refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
@@ -145,7 +145,7 @@ def _refit_with_more_noise(
         if 2 * (trial.sigma_px > (1.0 - HALF_DIGITS) * sigma_bound).sum() <= len(trial.sigma_px):
             break
         sigma_bound = MAX_SIGMA_GROWTH * trial.sigma_px.max()
-        done, new_decrease, new_cost = run_irls(stack, usable, trial, SIGMA_FLOOR_PX)
+        done, new_decrease, new_cost = run_constrained_irls(stack, usable, trial, SIGMA_FLOOR_PX, np.zeros(6))
         iterations += done
         if not new_cost < best:
             return iterations, np.inf, np.inf

@@ -1,7 +1,6 @@
 """Robust fit of one motion to all terms: the Python layer above the compiled solver, and its compilation.
 
-The solver is compiled as a whole (`warm_up`) or in parts that processes can compile in parallel (`warm_up_search`,
-`warm_up_irls`, `warm_up_diagnostics`).
+`warm_up` and `warm_up_evidence` compile what the solver and the comparison with the cameras' own motions call.
 """
 
 from __future__ import annotations
@@ -21,15 +20,14 @@ from sylpose.relative_pose.camera_evidence import (
     MIN_REDUCTION,
     compute_design_effect,
     compute_f_ratio,
+    measure_distances,
     measure_excess,
     pool_f_ratios,
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
-from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
-from sylpose.relative_pose.search import make_minima, search_minima
 from sylpose.relative_pose.terms import (
     MIN_MATCHES,
     Candidate,
@@ -366,38 +364,29 @@ def _refine_from_alternatives(
 def warm_up() -> None:
     """Compile what `fit_terms` runs, or load it from the cache: a minute or two at first, then a third of a second."""
     fit_terms(_make_terms(), np.zeros(3), 0.1, [], np.random.default_rng(0))
-    warm_up_diagnostics()
-
-
-def warm_up_search() -> None:
-    """Compile the search for minima only."""
-    stack = _make_stack()
-    sums = MomentSums(np.empty((2, 9, 9)), np.full(2, 1e-6))
-    for t in range(2):
-        compute_moments(stack.x[t * 12 : t * 12 + 12], stack.y[t * 12 : t * 12 + 12], np.ones(12), sums.moments[t])
-    search_minima(stack, sums, stack_initial_motions([]), make_minima(2, 2))
-
-
-def warm_up_irls() -> None:
-    """Compile the re-weighted fit only."""
-    stack = _make_stack()
-    run_irls(stack, np.ones(len(stack.x)), make_empty_irls_fit(stack), SIGMA_FLOOR_PX)
-
-
-def warm_up_diagnostics() -> None:
-    """Compile the diagnostics of a fit only."""
     observability.classify_observability(make_failed_fit(_make_terms(), Status.OK), 0.1)
     locate_object(_make_terms())
     stack = _make_stack()
     fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
+    run_irls(stack, usable, fit, SIGMA_FLOOR_PX)
+    fit.weights[:] = 0.0
+    fit.weights[::12] = 1.0
+    observability.is_consistent(stack, usable > 0, fit)
+    observability.is_static(stack, fit, np.eye(6))
     motion_mixture.correlate_neighbors(stack, fit)
+    motion_mixture.compute_cost(stack, usable > 0, motion_mixture.compute_motion_density(stack, fit))
+    uncertainty.is_flat(stack, fit)
+    uncertainty.compute_size_if_curved(fit, 0.1)
     uncertainty.minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
     uncertainty.triangulate_planes(stack, fit, np.empty_like(stack.depth_model_mean))
 
 
 def warm_up_evidence() -> None:
-    """Compile the comparison of the cameras' own motions with the joint one only."""
-    excess, _ = measure_excess(_make_terms(), np.zeros(3), np.eye(3), np.array([0.1, 0.0, 0.0]))
+    """Compile the comparison of the cameras' own motions with the joint one."""
+    terms, motion = _make_terms(), (np.zeros(3), np.eye(3), np.array([0.1, 0.0, 0.0]))
+    compute_design_effect(terms[0].x, *np.ones((2, len(terms[0]))))
+    measure_distances(terms[0], *motion)
+    excess, _ = measure_excess(terms, *motion)
     compute_f_ratio(excess)
     compute_f_ratio(excess, len(excess))
     pool_f_ratios(excess)

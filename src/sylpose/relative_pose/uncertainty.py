@@ -101,7 +101,7 @@ def compute_second_planes(stack: Stack, fit: IrlsFit) -> list[Candidate]:
         the motions; none if the object is not flat.
     """
     out: list[Candidate] = []
-    if not _is_flat(stack, fit):
+    if not is_flat(stack, fit):
         return out
     R, d, depth_model = fit.candidate
     for t in range(len(stack.focal)):
@@ -121,7 +121,7 @@ def compute_second_planes(stack: Stack, fit: IrlsFit) -> list[Candidate]:
 
 
 @kernel
-def _is_flat(stack: Stack, fit: IrlsFit) -> bool:
+def is_flat(stack: Stack, fit: IrlsFit) -> bool:
     """Return whether the object appears flat in all cameras with inliers."""
     rotation, translation, depth_model = fit.candidate
     for t in range(len(stack.focal)):

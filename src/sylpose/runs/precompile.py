@@ -2,8 +2,9 @@
 
     python -m sylpose.runs.precompile [PART ...]
 
-compiles all kernels, or the given parts sequentially. Compiled kernels are cached next to the sources, or in another
-writable folder (`geometry/kernel_cache.py`), from where later processes load them.
+compiles all kernels, or the given parts sequentially, and prints the names of the functions that it compiled. Compiled
+kernels are cached next to the sources, or in another writable folder (`geometry/kernel_cache.py`), from where later
+processes load them.
 """
 
 from __future__ import annotations
@@ -14,34 +15,37 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from filelock import FileLock
+from numba.core.event import Event, Listener, install_listener
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.features import klt, static_background
-from sylpose.features.sift import Features
+from sylpose.features.patches import find_unmoved, sample_patches
+from sylpose.features.sift import FULL_RESOLUTION, Features
 from sylpose.geometry.kernel_cache import (
     cache_folder,
     describe_compilation,
-    display_folder,
     is_cached,
     mark_announced,
 )
 from sylpose.geometry.matrices import invert_information
 from sylpose.input_limits import print_message
-from sylpose.landmarks.alignment import LandmarkMatches, align
+from sylpose.landmarks.alignment import LandmarkMatches, align, make_camera_state, stack_matches
+from sylpose.landmarks.camera_terms import compute_camera_terms
 from sylpose.landmarks.landmark_filter import add_observations, initialize_landmarks
-from sylpose.relative_pose import robust_fit
-from sylpose.relative_pose.solver import warm_up, warm_up_diagnostics, warm_up_evidence, warm_up_irls, warm_up_search
+from sylpose.relative_pose import uncertainty
+from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
+from sylpose.relative_pose.solver import warm_up, warm_up_evidence
 from sylpose.runs.console_output import make_console
 from sylpose.runs.progress import SECONDS_BETWEEN_LINES
 from sylpose.runs.system_resources import available_cores
@@ -49,9 +53,12 @@ from sylpose.simulate import ring
 
 
 def compile_klt() -> None:
-    """Compile KLT tracking from image to image."""
+    """Compile what is done with images: KLT tracking, and the comparison of patches."""
     image = np.random.default_rng(0).integers(0, 255, (120, 160), np.uint8)
-    klt.track_features(klt.start_tracks(image, [[60.0, 60.0], [80.0, 50.0]]), image, image)
+    pixels = np.array([[60.0, 60.0], [80.0, 50.0]])
+    klt.track_features(klt.start_tracks(image, pixels), image, image)
+    patches = sample_patches(image, pixels, FULL_RESOLUTION, np.zeros(2))
+    find_unmoved(patches, pixels, patches, pixels)
     static_background.detect_corners(image)
 
 
@@ -72,6 +79,9 @@ def compile_landmarks() -> None:
         for camera in rig
     ]
     align(observations, np.eye(3), np.zeros(3))
+    stacked = stack_matches(observations[:1])
+    compute_camera_terms(stacked, 0, np.eye(3), np.zeros(3), 1.0, True, make_camera_state(stacked), np.empty((6, 7)))
+    find_inliers(observations[0].image, observations[0].image, 0.01, QUADRUPLES, np.empty(len(points)))
     invert_information(np.eye(6))
     camera, n = rig["cam_0"], len(points)
     pixels = camera.project(points)
@@ -92,35 +102,49 @@ def compile_bundle_adjustment() -> None:
     bundle_adjust(rig, observations, poses, 0.1, BundleOptions(offsets_sd=0.1))
 
 
-# Processor seconds of each part (measured: docs/history/benchmarks.md, "The first start"), longest first: with enough cores
-# the total time is that of the longest.
-PARTS: dict[str, tuple[float, Callable[[], None]]] = {
-    "search": (33.0, warm_up_search),
-    "evidence": (23.0, warm_up_evidence),
-    "landmarks": (18.0, compile_landmarks),
-    "reweighting": (16.0, warm_up_irls),
-    "verdicts": (16.0, warm_up_diagnostics),
-    "refining": (12.0, compile_bundle_adjustment),
-    "following": (2.0, compile_klt),
+def compile_tracking() -> None:
+    """Compile what tracking needs besides the fit of a motion."""
+    warm_up_evidence()
+    compile_landmarks()
+    compile_bundle_adjustment()
+    compile_klt()
+
+
+class Part(NamedTuple):
+    """A part of the kernels.
+
+    Attributes:
+        compile: compiles it in this process.
+        last: the kernel that it compiles last.
+    """
+
+    compile: Callable[[], None]
+    last: object
+
+
+# Half of the time each (measured: docs/history/benchmarks.md, "The first start"). More parts would compile more functions
+# repeatedly, as their processes share none.
+PARTS = {
+    "solver": Part(warm_up, uncertainty.triangulate_planes),
+    "tracking": Part(compile_tracking, static_background.fill_patches),
 }
-# Machine code of all kernels in the cache, bytes: it grows in proportion to the time, within a tenth (measured: x86-64,
-# two cores). On another processor the last step of the progress is longer or shorter.
-CODE_BYTES = 28.4e6
-# Seconds between two looks at the cache, and largest progress before all is compiled (choice).
-WATCH_SECONDS, MAX_PROGRESS = 0.5, 0.99
+# Number of functions compiled by all parts, a function of several parts counted in each (measured).
+N_FUNCTIONS = 485
+# Largest progress before all is compiled (choice).
+MAX_PROGRESS = 0.99
 
 
 def is_compiled() -> bool:
-    """Return whether the kernel that is compiled last is cached for the current sources and this processor.
+    """Return whether all parts are cached for the current sources and this processor.
 
     Other kernels that are missing are compiled when they are called.
     """
-    return is_cached(robust_fit.fit_robust_motion)
+    return all(is_cached(part.last) for part in PARTS.values())
 
 
 def find_kernel_cache() -> Path | None:
     """Return the cache folder of the compiled kernels, or None if no folder can be written."""
-    return cache_folder(robust_fit.fit_robust_motion)
+    return cache_folder(uncertainty.triangulate_planes)
 
 
 def compile_all(on_progress: Callable[[float], None] | None = None) -> None:
@@ -129,56 +153,44 @@ def compile_all(on_progress: Callable[[float], None] | None = None) -> None:
     Without a cache folder, processes cannot share their results, and everything is compiled in this process.
 
     Args:
-        on_progress: called twice a second, in another thread, with the share of the machine code that is in the cache,
-            in [0, 1]; not without a cache folder.
+        on_progress: called after each compiled function, also in other threads, with the share of those that are compiled,
+            in [0, 1].
     """
-    folder = find_kernel_cache()
-    if folder is None or is_compiled():
+    if is_compiled():
         warm_up()
         return
-    with _watch_cache(folder, on_progress or (lambda _: None)):
+    n_compiled, lock = 0, threading.Lock()
+
+    def count(_: str) -> None:
+        nonlocal n_compiled
+        with lock:
+            n_compiled += 1
+            if on_progress is not None:
+                on_progress(min(n_compiled / N_FUNCTIONS, MAX_PROGRESS))
+
+    with install_listener("numba:compile", _CompilationListener(count)):
         # With a single core, one process avoids repeated imports.
-        run = _compile_in_subprocess if available_cores() > 1 else (lambda part: PARTS[part][1]())
-        with ThreadPoolExecutor(min(available_cores(), len(PARTS))) as pool:
+        is_parallel = available_cores() > 1 and find_kernel_cache() is not None
+        run = partial(_compile_in_subprocess, on_compiled=count) if is_parallel else compile_part
+        with ThreadPoolExecutor(min(available_cores(), len(PARTS)) if is_parallel else 1) as pool:
             for done in as_completed([pool.submit(run, part) for part in PARTS]):
                 done.result()
-        warm_up()  # the remaining kernel, the complete fit, needs all others
+        warm_up()
+    if on_progress is not None:
+        on_progress(1.0)
 
 
-@contextmanager
-def _watch_cache(folder: Path, on_progress: Callable[[float], None]) -> Iterator[None]:
-    """Report how much machine code is new in the cache of all kernels.
+class _CompilationListener(Listener):
+    """Listener of Numba that passes on the name of each function that was compiled."""
 
-    Args:
-        folder: cache folder of one kernel.
-        on_progress: called with the share of `CODE_BYTES`.
-    """
-    root, pattern = display_folder(folder), "**/__pycache__/*.nbc" if folder.name == "__pycache__" else "*/*.nbc"
+    def __init__(self, on_compiled: Callable[[str], None]) -> None:
+        self._on_compiled = on_compiled
 
-    def look() -> dict[Path, tuple[int, int]]:
-        found = dict[Path, tuple[int, int]]()
-        with suppress(OSError):  # a file that another process replaces
-            for file in root.glob(pattern):
-                state = file.stat()
-                found[file] = state.st_mtime_ns, state.st_size
-        return found
+    def on_start(self, event: Event) -> None:
+        pass
 
-    def watch() -> None:
-        done = 0.0
-        while not is_ended.wait(WATCH_SECONDS):
-            new = sum(size for file, (time_ns, size) in look().items() if before.get(file) != (time_ns, size))
-            done = max(done, min(new / CODE_BYTES, MAX_PROGRESS))
-            on_progress(done)
-
-    before, is_ended = look(), threading.Event()
-    thread = threading.Thread(target=watch, name="sylpose-compiling", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_ended.set()
-        thread.join()
-    on_progress(1.0)
+    def on_end(self, event: Event) -> None:
+        self._on_compiled(event.data["dispatcher"].py_func.__qualname__)
 
 
 @cache
@@ -203,7 +215,7 @@ def compile_with_progress(console: Console) -> None:
     columns = (TextColumn("Compiling"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     remaining = TimeRemainingColumn(compact=True)
     with Progress(*columns, remaining, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task, last_line = progress.add_task("", total=None if folder is None else 1.0), time.monotonic()
+        task, last_line = progress.add_task("", total=1.0), time.monotonic()
 
         def show(done: float) -> None:
             nonlocal last_line
@@ -216,16 +228,25 @@ def compile_with_progress(console: Console) -> None:
         compile_all(show)
 
 
-def _compile_in_subprocess(part: str) -> None:
+def compile_part(part: str) -> None:
+    """Compile a part in this process."""
+    PARTS[part].compile()
+
+
+def _compile_in_subprocess(part: str, on_compiled: Callable[[str], None]) -> None:
     """Compile a part in another process; failures are ignored, as the kernels are compiled again when called."""
     command = [sys.executable, "-W", "ignore", "-m", "sylpose.runs.precompile", part]
-    subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, text=True, **streams) as process:
+        for line in process.stdout or ():
+            on_compiled(line.strip())
 
 
 def main(parts: Sequence[str]) -> None:
-    """Compile the given parts, or all of them with a progress bar."""
-    for part in parts:
-        PARTS[part][1]()
+    """Compile the given parts and print the names of compiled functions, or compile all parts with a progress bar."""
+    with install_listener("numba:compile", _CompilationListener(partial(print, flush=True))):
+        for part in parts:
+            compile_part(part)
     if not parts:
         compile_with_progress(make_console())
 
