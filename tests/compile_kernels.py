@@ -20,7 +20,6 @@ from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.relative_pose.solver import warm_up
 from sylpose.rig import Camera
 from sylpose.runs.precompile import PARTS
 from sylpose.simulate import ring
@@ -70,7 +69,7 @@ def run_timed(part: Callable[[], None]) -> str:
 
 def main() -> None:
     # The longest first.
-    parts, wholes = [*(part.compile for part in PARTS.values()), paper, absolute_pose], [warm_up, two_bodies]
+    parts, wholes = [*(part.compile for part in PARTS.values()), paper, absolute_pose], [two_bodies]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         done = [*pool.map(run_timed, parts)]
     print("compiled:", ", ".join([*done, *map(run_timed, wholes)]), file=sys.stderr)

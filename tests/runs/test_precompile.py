@@ -23,6 +23,7 @@ from sylpose.runs.console_output import make_console
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Record the parts compiled in other processes, and compile none."""
     arguments: list[str] = []
+    monkeypatch.setattr(precompile, "warm_up", lambda: None)
     monkeypatch.setattr(precompile, "_compile_in_subprocess", lambda part, **_: arguments.append(part))
     monkeypatch.setattr(precompile, "available_cores", lambda: 2)
     return arguments
@@ -67,17 +68,27 @@ def test_each_part_is_compiled_once(installed: list[str]) -> None:
     assert len(installed) == len(precompile.PARTS)
 
 
-def test_no_processes_without_cache_folder(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Replace the parts by two that record that they ran."""
+    names: list[str] = []
+    parts = {name: precompile.Part(partial(names.append, name), None) for name in "ab"}
+    monkeypatch.setattr(precompile, "PARTS", parts)
+    return names
+
+
+def test_no_processes_without_cache_folder(
+    installed: list[str], ran: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(precompile, "find_kernel_cache", lambda: None)
     precompile.compile_all()
-    assert not installed
+    assert (ran, installed) == (["a", "b"], [])
 
 
-def test_single_core_compiles_in_one_process(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    ran: list[str] = []
+def test_single_core_compiles_in_one_process(
+    installed: list[str], ran: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(precompile, "available_cores", lambda: 1)
-    parts = {name: precompile.Part(partial(ran.append, name), None) for name in "ab"}
-    monkeypatch.setattr(precompile, "PARTS", parts)
     precompile.compile_all()
     assert (ran, installed) == (["a", "b"], [])
 
@@ -99,10 +110,16 @@ def test_progress_is_the_share_of_functions(installed: list[str], monkeypatch: p
 
 def test_functions_compiled_by_a_process_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     program, popen = [sys.executable, "-c", "print('first', 'second', sep=chr(10))"], subprocess.Popen
-    monkeypatch.setattr(subprocess, "Popen", lambda _, **options: popen(program, **options))
-    names = list[str]()
+    names, commands = list[str](), list[list[str]]()
+
+    def run(command: list[str], **options: Any) -> Any:
+        commands.append(command)
+        return popen(program, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", run)
     precompile._compile_in_subprocess("tracking", names.append)
     assert names == ["first", "second"]
+    assert commands[0][-3:] == ["-m", "sylpose.runs.precompile", "tracking"]
 
 
 def test_names_of_compiled_functions(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,7 +129,8 @@ def test_names_of_compiled_functions(capsys: pytest.CaptureFixture[str], monkeyp
     compiled: Any = numba.njit(double)
     monkeypatch.setattr(precompile, "PARTS", {"new": precompile.Part(partial(compiled, 1.0), compiled)})
     precompile.main(["new", "new"])
-    assert capsys.readouterr().out.split()[-1].endswith("double")
+    (name,) = capsys.readouterr().out.splitlines()
+    assert name.endswith("double")
     precompile.main(["new"])
     assert capsys.readouterr().out == ""
 
@@ -156,6 +174,7 @@ def test_every_part_runs(part: str) -> None:
 
 
 def test_compile_part_by_name() -> None:
+    precompile.compile_part("tracking")
     command = [sys.executable, "-m", "sylpose.runs.precompile", "tracking"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

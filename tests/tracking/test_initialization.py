@@ -385,8 +385,11 @@ def test_buffered_frame_may_determine_depth(monkeypatch: pytest.MonkeyPatch) -> 
         assert np.degrees(off.rotation.magnitude()) < 1.0
 
 
-def test_scattered_buffered_frame_has_no_pose(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A buffered frame whose features scatter as by chance is searched again, here without result."""
+@pytest.mark.parametrize(("is_found_again", "status"), [(False, FrameStatus.LOST), (True, FrameStatus.TRACKED)])
+def test_scattered_buffered_frame_is_searched_again(
+    monkeypatch: pytest.MonkeyPatch, is_found_again: bool, status: FrameStatus
+) -> None:
+    """A buffered frame whose features scatter as by chance is searched again; without a result it has no pose."""
 
     def find_scattered(context: Context, state: JointState, frame: Frame, pose: RigidTransform) -> SearchResult:
         state, candidate = find_pose(context, state, frame, pose)
@@ -396,7 +399,8 @@ def test_scattered_buffered_frame_has_no_pose(monkeypatch: pytest.MonkeyPatch) -
         return state, candidate
 
     monkeypatch.setattr(initialization, "find_pose", find_scattered)
-    monkeypatch.setattr(relocalization, "find_pose_with_all_features", lambda _, state, *__: (state, None))
+    if not is_found_again:
+        monkeypatch.setattr(relocalization, "find_pose_with_all_features", lambda _, state, *__: (state, None))
     take = KINDS["jumps-15"](np.random.default_rng([1, *b"jumps-15"]))
     tracked = list(track(islice(take.frames(), 3), take.scene.rig, take.boxes, seed=1, workers=1))
-    assert statuses(tracked) == [FrameStatus.FIRST, FrameStatus.LOST, FrameStatus.TRACKED]
+    assert statuses(tracked) == [FrameStatus.FIRST, status, FrameStatus.TRACKED]

@@ -118,16 +118,26 @@ class _CalleeLibrary(JITCodeLibrary):
         self._finalized = True
 
 
-def postpone_optimization(callee: Any) -> None:
-    """Leave optimization and machine code of a dispatcher, which Python does not call, to its callers.
+# Without them, Numba optimizes callees as well.
+_CAN_POSTPONE = all(hasattr(JITCodeLibrary, name) for name in vars(_CalleeLibrary) if not name.startswith("__"))
 
-    What Numba compiles for it, such as `numpy.empty`, is left to the callers as well.
+
+def set_callee(dispatcher: Any, callee: Any) -> None:
+    """Let kernels that call a dispatcher link with the code of another one of the same function.
+
+    The callee's optimization and machine code are left to its callers, and those of what Numba compiles for it, such as
+    `numpy.empty`, as well. So Python must not call it, nor a function of `numba.njit` that it calls: kernels call only
+    kernels and what Numba itself provides.
     """
-    compile_callee = callee._compiler.compile
+    # A kernel that calls itself is compiled by the callee.
+    dispatcher.get_overload, dispatcher._compiling_counter = callee.get_overload, callee._compiling_counter
+    if not _CAN_POSTPONE:
+        return
+    compile_dispatcher, compile_callee = dispatcher._compiler.compile, callee._compiler.compile
+    codegen = dispatcher.targetctx.codegen()
 
     def compile_for_callers(args: object, return_type: object) -> Any:
         # Numba holds its compiler lock.
-        codegen = callee.targetctx.codegen()
         before = codegen._library_class, codegen.set_env
         codegen._library_class = _CalleeLibrary
         codegen.set_env = lambda *_: None  # there is no machine code to be given an environment
@@ -136,7 +146,14 @@ def postpone_optimization(callee: Any) -> None:
         finally:
             codegen._library_class, codegen.set_env = before
 
-    callee._compiler.compile = compile_for_callers
+    def compile_with_callees(args: object, return_type: object) -> Any:
+        compiled = compile_dispatcher(args, return_type)
+        # Now there is, as when it is loaded from the cache.
+        for environment in compiled._find_referenced_environments():
+            codegen.set_env(environment.env_name, environment)
+        return compiled
+
+    dispatcher._compiler.compile, callee._compiler.compile = compile_with_callees, compile_for_callers
 
 
 @cache

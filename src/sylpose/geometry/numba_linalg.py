@@ -17,7 +17,7 @@ from numba.core import types
 from numba.core.options import DefaultOptions
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.kernel_cache import enable_cache, postpone_optimization
+from sylpose.geometry.kernel_cache import enable_cache, set_callee
 
 # Maximum sweeps of Jacobi's method: five or six are enough (choice).
 MAX_SWEEPS = 30
@@ -54,7 +54,7 @@ def _make_dispatcher(function: Callable[..., object], **options: Any) -> Any:
     dispatcher = enable_cache(njit(nogil=True)(function))
     if dispatcher is not function:
         callee = njit(no_cpython_wrapper=True)(function)
-        postpone_optimization(callee)
+        set_callee(dispatcher, callee)
         resolve_call, unliteral = callee.get_call_template, cast(Any, types.unliteral)
 
         def resolve_without_literals(args: Sequence[Any], kws: Mapping[str, Any]) -> Any:
@@ -62,7 +62,7 @@ def _make_dispatcher(function: Callable[..., object], **options: Any) -> Any:
             # of their variables, until it infers that these change.
             return resolve_call([unliteral(a) for a in args], {name: unliteral(a) for name, a in kws.items()})
 
-        dispatcher.get_call_template, dispatcher.get_overload = resolve_without_literals, callee.get_overload
+        dispatcher.get_call_template = resolve_without_literals
     return dispatcher
 
 

@@ -369,6 +369,7 @@ def warm_up() -> None:
     stack = _make_stack()
     fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
     run_irls(stack, usable, fit, SIGMA_FLOOR_PX)
+    # Few inliers: only then are they compared with chance.
     fit.weights[:] = 0.0
     fit.weights[::12] = 1.0
     observability.is_consistent(stack, usable > 0, fit)

@@ -63,7 +63,7 @@ def compile_klt() -> None:
 
 
 def compile_landmarks() -> None:
-    """Compile the alignment of landmarks and their update."""
+    """Compile the alignment of landmarks, their update, and the search for matches that move alike."""
     rig, points = ring(3, height=(0.4, -0.1, 0.2)), np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
     observations = [
         LandmarkMatches(
@@ -128,14 +128,15 @@ PARTS = {
     "solver": Part(warm_up, uncertainty.triangulate_planes),
     "tracking": Part(compile_tracking, static_background.fill_patches),
 }
-# Number of functions compiled by all parts, a function of several parts counted in each (measured).
+# Number of functions compiled by all parts, those of both counted twice (measured: Numba 0.68; one process compiles fewer,
+# and its progress ends early).
 N_FUNCTIONS = 485
 # Largest progress before all is compiled (choice).
 MAX_PROGRESS = 0.99
 
 
 def is_compiled() -> bool:
-    """Return whether all parts are cached for the current sources and this processor.
+    """Return whether the last kernel of each part is cached for the current sources and this processor.
 
     Other kernels that are missing are compiled when they are called.
     """

@@ -237,6 +237,8 @@ def _initialize_from_motion(
     # The velocity is unknown for the frames between.
     frames = replace(state.frames, last=start, keyframes=(start, end), anchor=None)
     state = replace(state, frames=frames, motion=replace(state.motion, velocity=MotionModel()))
+    for camera in context.cameras:
+        camera.view = camera.view_of(first.images)
     for buffered_frame in between:
         pose = state.predict_pose(buffered_frame.time)
         state, tracked = _solve_buffered_frame(context, state, buffered_frame, pose)
@@ -244,8 +246,9 @@ def _initialize_from_motion(
     if end.number in state.frames.by_number:
         motion = end.world_from_object * state.last.world_from_object.inv()
         state = state.add_solved_frame(end, motion, context.options, has_new_features=False)
-        if context.uses_klt:
-            for camera in context.cameras:
+        for camera in context.cameras:
+            camera.view = camera.view_of(end_frame.images)
+            if context.uses_klt:
                 camera.set_anchor(end.number, end_frame.images, None)
         keyframes = tuple(sorted(state.frames.keyframes, key=lambda k: k.number))
         anchor = Anchor(end) if context.uses_klt else state.frames.anchor
