@@ -5,22 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.commands.main import main
-from sylpose.geometry.arrays import Image
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.methods import METHODS
 from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MIN_KEPT_POOLED, CameraEvidence
 from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
+from sylpose.tracking.camera_side import frame as frame_module
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, add_evidence
 from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion
-from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
+from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame, compute_viewpoints
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.map_update import _is_rig_contradicted, add_f_ratio, is_contradicted, measure_f_ratio
 from sylpose.tracking.options import TrackingOptions
@@ -150,6 +154,35 @@ def test_two_cameras_of_three_are_no_evidence_for_a_motion_that_the_third_does_n
         [measure_f_ratio(its, MIN_KEPT_POOLED) for its in (alone, [*alone, silent], [agreeing] * 3)]
     ).all()
     assert np.isnan([measure_f_ratio([*alone, its], MIN_KEPT_POOLED) for its in (others, PoseAgreement())]).all()
+
+
+def make_matches(reference: int, shifts: FloatArray) -> FrameMatches:
+    """Make matches that moved to the right by `shifts` (n,) pixels since an earlier frame."""
+    n = len(shifts)
+    before, indices = np.zeros((n, 2)), np.column_stack([np.arange(n)] * 2)
+    after = np.column_stack([shifts, np.zeros(n)])
+    return FrameMatches(reference, cast(CameraFrame, None), indices, before, after, before, after, np.zeros(n, bool))
+
+
+def test_mismatches_do_not_choose_the_evidence(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    def choose(*pairs: FrameMatches) -> int:
+        known = {pair.reference: make_solved(pair.reference) for pair in pairs}
+        current = cast(CameraFrame, SimpleNamespace(noise_px=0.3))
+        return add_evidence(PoseAgreement(), pairs, current, clip.rig[0], 0, make_solved(9), known).evidence_reference
+
+    def make_solved(number: int) -> SolvedFrame:
+        pose = RigidTransform.from_translation(clip.rig[0].center + clip.rig[0].rotation[2])
+        viewpoints = compute_viewpoints(clip.rig, pose)
+        return SolvedFrame(number, 0.0, np.zeros(3), pose, np.zeros((6, 6)), viewpoints, np.ones(3, bool))
+
+    monkeypatch.setattr(frame_module, "compare_motions", lambda x, *_: (len(x), 0.0, 0.0, 0.0, 0.0))
+    near, far = make_matches(1, np.full(20, 8.0)), make_matches(2, np.full(20, 12.0))
+    assert choose(near, far) == choose(far, near) == 2
+    # A period of 100 pixels: these moved as little as `near`, and less than `far`.
+    mismatched = make_matches(3, np.r_[np.full(14, 8.0), np.full(6, 108.0)])
+    assert choose(near, mismatched) == 1
+    assert choose(mismatched, near) == 3
+    assert choose(mismatched, far) == choose(far, mismatched) == 2
 
 
 def test_last_frames_are_pooled() -> None:

@@ -118,16 +118,21 @@ class _CalleeLibrary(JITCodeLibrary):
         self._finalized = True
 
 
-# Without them, Numba optimizes callees as well.
-_CAN_POSTPONE = all(hasattr(JITCodeLibrary, name) for name in vars(_CalleeLibrary) if not name.startswith("__"))
+# These methods are private: a version of Numba without them optimizes callees as well.
+_REPLACED = "_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals"
+_CAN_POSTPONE = all(hasattr(JITCodeLibrary, name) for name in _REPLACED)
 
 
 def set_callee(dispatcher: Any, callee: Any) -> None:
-    """Let kernels that call a dispatcher link with the code of another one of the same function.
+    """Let kernels that call a kernel link with the code of another dispatcher of the same function.
 
-    The callee's optimization and machine code are left to its callers, and those of what Numba compiles for it, such as
-    `numpy.empty`, as well. So Python must not call it, nor a function of `numba.njit` that it calls: kernels call only
-    kernels and what Numba itself provides.
+    The callee is only translated: its callers optimize it, with what Numba compiles for it, such as `numpy.empty`. So
+    Python must not call it, nor a function of `numba.njit` that it calls: kernels call only kernels and what Numba itself
+    provides.
+
+    Args:
+        dispatcher: of the kernel, called by Python.
+        callee: of the same function, called by kernels only.
     """
     # A kernel that calls itself is compiled by the callee.
     dispatcher.get_overload, dispatcher._compiling_counter = callee.get_overload, callee._compiling_counter
@@ -148,7 +153,7 @@ def set_callee(dispatcher: Any, callee: Any) -> None:
 
     def compile_with_callees(args: object, return_type: object) -> Any:
         compiled = compile_dispatcher(args, return_type)
-        # Now there is, as when it is loaded from the cache.
+        # Numba sets these only where it loads a kernel from the cache: errors with values need them.
         for environment in compiled._find_referenced_environments():
             codegen.set_env(environment.env_name, environment)
         return compiled

@@ -122,8 +122,8 @@ class Part(NamedTuple):
     last: object
 
 
-# Half of the time each (measured: docs/history/benchmarks.md, "The first start"). More parts would compile more functions
-# repeatedly, as their processes share none.
+# Longest first: about three fifths and two fifths of the time. More parts would take longer together: what several of them
+# call is compiled in each (measured: docs/history/benchmarks.md, "The first start").
 PARTS = {
     "solver": Part(warm_up, uncertainty.triangulate_planes),
     "tracking": Part(compile_tracking, static_background.fill_patches),
@@ -149,7 +149,7 @@ def find_kernel_cache() -> Path | None:
 
 
 def compile_all(on_progress: Callable[[float], None] | None = None) -> None:
-    """Compile the tracking kernels with one process per core, or load them if they are cached.
+    """Compile the tracking kernels with one process per part, or load them if they are cached.
 
     Without a cache folder, processes cannot share their results, and everything is compiled in this process.
 
@@ -170,7 +170,7 @@ def compile_all(on_progress: Callable[[float], None] | None = None) -> None:
                 on_progress(min(n_compiled / N_FUNCTIONS, MAX_PROGRESS))
 
     with install_listener("numba:compile", _CompilationListener(count)):
-        # With a single core, one process avoids repeated imports.
+        # With a single core, one process avoids that anything is imported or compiled twice.
         is_parallel = available_cores() > 1 and find_kernel_cache() is not None
         run = partial(_compile_in_subprocess, on_compiled=count) if is_parallel else compile_part
         with ThreadPoolExecutor(min(available_cores(), len(PARTS)) if is_parallel else 1) as pool:
