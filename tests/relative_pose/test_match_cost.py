@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.irls import CUTOFF
+from sylpose.relative_pose.limits import CUTOFF
 from sylpose.relative_pose.match_cost import MatchEquations, Tolerance
 from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, locate_object, stack_terms
 from sylpose.rig import Rig

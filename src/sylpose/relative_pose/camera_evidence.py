@@ -37,7 +37,7 @@ from scipy.special import ndtri
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
-from sylpose.relative_pose.limits import MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE
+from sylpose.relative_pose.limits import MAX_ROUNDS, MAX_STEPS, MIN_SHARE, ROUGHLY_CONVERGED_DECREASE
 from sylpose.relative_pose.terms import TermData, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
@@ -56,11 +56,11 @@ N_OWN, N_JOINT = 5, 6
 MIN_MATCHES = 2 * N_OWN
 # Smallest noise of a camera, pixels: frozen images have none (choice).
 MIN_SIGMA_PX = 0.05
-# A camera's own motion begins with 1 of so many matches, those that the joint motion explains best: where other things move,
-# too, the object may have as few (choice). Its inliers are within so many standard deviations (choice).
-MIN_SHARE, MAX_SIGMAS = 3, 3.0
+# A camera's own motion begins with `MIN_SHARE` of its matches, those that the joint motion explains best: where other things
+# move, too, the object may have as few. Its inliers are within so many standard deviations (choice).
+MAX_SIGMAS = 3.0
 # Standard deviation of normal residuals of which this share is smaller than 1 (derived).
-SIGMA_OF_SHARE = 1.0 / float(ndtri(0.5 + 0.5 / MIN_SHARE))
+SIGMA_OF_SHARE = 1.0 / float(ndtri(0.5 + 0.5 * MIN_SHARE))
 # A motion that moves the camera relative to the object by less than this share of its distance has no epipolar geometry:
 # every match would fit (derived: far below the smallest measurable motion).
 MIN_BASELINE = 1e-4
@@ -79,8 +79,6 @@ KEPT_SHARE = 0.9
 MIN_REDUCTION = 3.0
 # The ratio without a contradiction: explanations with ratios below it are alike (derived).
 EXPECTED_RATIO = 1.0
-# Maximum number of steps of a camera's own fit between two selections of matches (choice).
-N_STEPS = 15
 # No excess is larger: a million times what the largest contradictions have (derived: keeps sums finite).
 MAX_EXCESS = 1e12
 # Axes of rotations (derived).
@@ -164,7 +162,7 @@ def compare_motions(
     _compute_residuals(x, y, focal, rotation, translation, residuals)
     sizes = np.abs(residuals)
     # A fit to hardly more matches than it has unknowns would be trimmed to its own errors.
-    last = max(n // MIN_SHARE, min(n, 2 * MIN_MATCHES) - 1)
+    last = max(int(MIN_SHARE * n), min(n, 2 * MIN_MATCHES) - 1)
     limit = np.partition(sizes, last)[last]
     for i in range(n):
         own[i] = 1.0 if sizes[i] <= limit else 0.0
@@ -362,7 +360,7 @@ def _fit_motion(
     translation /= np.sqrt(dot(translation, translation)) + 1e-300
     essential, derivatives = np.empty((3, 3)), np.empty((6, 3, 3))
     factor, step, turned, moved = np.empty((6, 6)), np.empty(6), np.empty((3, 3)), np.empty(3)
-    for _ in range(N_STEPS):
+    for _ in range(MAX_STEPS):
         _cross_rows(translation, rotation, essential)
         for k in range(3):
             _cross_rows(AXES[k], rotation, derivatives[3 + k])
@@ -430,7 +428,7 @@ def _trim(
     if count < MIN_MATCHES:
         return False
     if is_widened:
-        sigma = SIGMA_OF_SHARE * np.partition(used, count // MIN_SHARE)[count // MIN_SHARE]
+        sigma = SIGMA_OF_SHARE * np.partition(used, int(MIN_SHARE * count))[int(MIN_SHARE * count)]
     else:
         sigma = SIGMA_OF_MEDIAN * compute_median(used[:count])
     for i in range(len(x)):

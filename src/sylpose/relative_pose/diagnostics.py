@@ -9,8 +9,9 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
 from sylpose.relative_pose.irls import IrlsFit, has_uniform_residuals
+from sylpose.relative_pose.limits import MOST
 from sylpose.relative_pose.motion_mixture import correlate_neighbors, has_static_candidates, is_mixed
-from sylpose.relative_pose.observability import MIN_CERTAIN_SHARE, is_collinear, is_static
+from sylpose.relative_pose.observability import is_collinear, is_static
 from sylpose.relative_pose.terms import Stack
 from sylpose.relative_pose.uncertainty import compute_size_if_curved
 
@@ -74,7 +75,7 @@ def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: Float
     curved = compute_size_if_curved(fit, radius) > 0.0
     uncertain = curved or soft_assignment
     mixed = is_mixed(*correlate_neighbors(stack, fit), uncertain)
-    certain, uniform = inliers >= MIN_CERTAIN_SHARE * usable_count, has_uniform_residuals(fit.weights)
+    certain, uniform = inliers >= MOST * usable_count, has_uniform_residuals(fit.weights)
     background = has_static_candidates(stack, usable)
     collinear = is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3)))
     shape = background, collinear, soft_assignment, curved, is_static(stack, fit, information), mixed

@@ -33,7 +33,8 @@ from sylpose.relative_pose.camera_evidence import (
     measure_excess,
     transfer_motion,
 )
-from sylpose.relative_pose.irls import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
+from sylpose.relative_pose.irls import MAX_REJECTED_SHARE
+from sylpose.relative_pose.limits import MOST
 from sylpose.relative_pose.rig_hypotheses import find_pixel_axes
 from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver, make_failed_fit
 from sylpose.rig import Rig
@@ -96,7 +97,7 @@ def solve_without_faulty_cameras(data: Sequence[TermData], solution: Solution, r
             suspects = [names[data[k].camera] for k in np.flatnonzero(sees_other).tolist()] if is_unproven else []
             text = _describe_contradiction(f_ratio, axes, suspects)
             return solution._replace(fit=replace(make_failed_fit(data, Status.NOT_CONSISTENT), faults=(text,)))
-    if rejected.any() and inliers.sum() >= MIN_AGREEING_SHARE * matches[~rejected].sum():
+    if rejected.any() and inliers.sum() >= MOST * matches[~rejected].sum():
         fit = replace(fit, faults=_describe_faults(data, fit, rejected, removed, names))
     return agreement.solution._replace(fit=fit)
 

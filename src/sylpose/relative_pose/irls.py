@@ -20,7 +20,14 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
 from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, dot, kernel, leaf
 from sylpose.geometry.robust_loss import bisquare_noise_response
-from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_ROUNDS
+from sylpose.relative_pose.limits import (
+    CONVERGED_DECREASE,
+    CUTOFF,
+    HALF_DIGITS,
+    MAX_ROTATION_STEP,
+    MAX_ROUNDS,
+    MIN_SHARE,
+)
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
     MatchEquations,
@@ -32,9 +39,7 @@ from sylpose.relative_pose.match_cost import (
 )
 from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, MIN_MATCHES, Candidate, Stack, apply_step, copy_into
 
-# Cutoff of d: 94 % efficient with Gaussian noise in both directions, where d² is chi-squared with two degrees of
-# freedom (choice); the resulting deficits of the weighted mean square and of the information (derived).
-CUTOFF = 5.0
+# The deficits of the weighted mean square and of the information that result from the cutoff of d (derived).
 SHRINKAGE, GAIN = bisquare_noise_response(CUTOFF).shrinkage, bisquare_noise_response(CUTOFF).gain
 # Mean weight of residuals that are uniform up to the cutoff (derived).
 UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
@@ -42,19 +47,11 @@ UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
 # Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
 EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
-# From this round on, steps are shortened more and more. After the first few rounds they are also halved, down to a
-# tenth, whenever they grow; otherwise they lengthen again. No step rotates by more than the last value, radians
-# (choice).
-FULL_STEP_ROUNDS, FREE_GROWTH_ROUNDS = 12, 4
-STEP_SHRINK_FACTOR, MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.5, 0.1, 1.3
-MAX_ROTATION_STEP = 0.3
 # Largest relative change of an inverse depth in one step (choice).
 MAX_DEPTH_CHANGE = 0.5
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
-# Weight of the rig's σ in that of a term, as a number of matches (choice).
-RIG_PRIOR_MATCHES = 10.0
 # Upper bound of the noise relative to that of the seeds: otherwise noise would explain two motions, or none (choice).
 MAX_SIGMA_GROWTH = 2.0
 # One keypoint in ten is this many times as noisy as the others (choice). Otherwise a motion with more noise, which reaches
@@ -70,14 +67,9 @@ N_MOTION = 6
 # They absorb a share of the squares; of the fewest matches that are fitted, this is left (derived). So is of a depth model,
 # whose term may have fewer (choice).
 MIN_FREEDOM_SHARE = 1.0 - N_MOTION / MIN_MATCHES
-# Neighbors have similar residual depths: only this many of a term's matches are independent in this respect (choice).
-INDEPENDENT_MATCHES = 6.0
-# A camera with `MIN_MATCHES` or more, of which fewer than this share agree, is excluded; junk alone reaches about a
-# tenth. This requires another camera with twice this share, or it is undecided which one is right (choice).
-CAMERA_MIN_SHARE = 0.3
-# A camera is rejected as a whole if at most the second share of its matches are inliers, and it may be at fault if more than
-# the first share of the others' are: otherwise two motions are about equally large (choice).
-MIN_AGREEING_SHARE, MAX_REJECTED_SHARE = 0.66, 0.2
+# A camera is rejected as a whole if at most this share of its matches are inliers, and it may be at fault if most of the
+# others' are: otherwise two motions are about equally large (choice).
+MAX_REJECTED_SHARE = 0.2
 
 
 class IrlsFit(NamedTuple):
@@ -227,10 +219,8 @@ def run_constrained_irls(
             return count, np.inf, np.inf
         last_decrease, decrease = decrease, 0.5 * dot(step, right)
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
-        growing = decrease > last_decrease and count > FREE_GROWTH_ROUNDS
-        length = max(STEP_SHRINK_FACTOR * length, MIN_STEP_LENGTH) if growing else min(STEP_GROWTH_FACTOR * length, 1.0)
-        if count > FULL_STEP_ROUNDS:
-            length = min(length, FULL_STEP_ROUNDS / count)
+        if decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1:
+            length *= 0.5
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, MAX_ROTATION_STEP / max(angle, 1e-300))
         for t in range(n):
@@ -255,7 +245,7 @@ def run_constrained_irls(
 @leaf
 def make_tolerance(stack: Stack, t: int, fit: IrlsFit, mass: float, cutoff: float) -> Tolerance:
     """Return the noise model of term t's matches, whose weights add up to `mass`."""
-    shared_residual_depth = fit.residual_depth[t] * np.sqrt(max(1.0, mass / INDEPENDENT_MATCHES))
+    shared_residual_depth = fit.residual_depth[t] * np.sqrt(max(1.0, mass / MIN_MATCHES))
     return Tolerance((fit.sigma_px[t] / stack.focal[t]) ** 2, fit.residual_depth[t], shared_residual_depth, cutoff)
 
 
@@ -404,7 +394,7 @@ def _update_sigma(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
     freedom = max(1.0 - N_MOTION / inliers, MIN_FREEDOM_SHARE)
     rig = rig / max(rig_mass, 1e-12) / freedom
     for t in range(n):
-        square = (squares[t] / freedom + RIG_PRIOR_MATCHES * rig) / (mass[t] + RIG_PRIOR_MATCHES)
+        square = (squares[t] / freedom + MIN_MATCHES * rig) / (mass[t] + MIN_MATCHES)
         sigma_px[t] = np.sqrt(square)
 
 
@@ -422,7 +412,7 @@ def _exclude_terms(stack: Stack, usable: InlierPrior, weights: FloatArray, activ
             share[t] = agreeing_mass / usable_mass
             best = max(best, share[t])
     for t in range(n):
-        active[t] = best < 2.0 * CAMERA_MIN_SHARE or share[t] >= CAMERA_MIN_SHARE
+        active[t] = best < 2.0 * MIN_SHARE or share[t] >= MIN_SHARE
 
 
 @kernel

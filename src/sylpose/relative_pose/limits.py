@@ -15,8 +15,17 @@ MAX_SAMPLES = 256
 # A fit has converged if the predicted decrease of its cost, half the square of the step in standard deviations, is below the
 # first value, a thirtieth of a standard deviation; a search for starts, or across a valley, below the second (choice).
 CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
-# Maximum number of rounds of a solver (choice).
-MAX_ROUNDS = 40
+# Maximum number of rounds of a solver, and of one that needs no more than a start for another (choice).
+MAX_ROUNDS, MAX_STEPS = 40, 20
+# Largest rotation of a step, radians: the range in which the derivatives are valid (choice).
+MAX_ROTATION_STEP = 0.5
+# An error of more standard deviations is no noise (choice): as the cutoff of Tukey's bisquare it is 94 % efficient with
+# Gaussian noise in two directions, whose squared length is chi-squared with two degrees of freedom.
+CUTOFF = 5.0
+# A camera is used if this share of its matches agree, in which junk is the rest (choice); most matches agree if the others
+# are no more than this share (derived).
+MIN_SHARE = 1.0 / 3.0
+MOST = 1.0 - MIN_SHARE
 # Smaller errors of images, pixels, are no evidence: rounding, lenses, perspective (choice).
 MIN_ERROR_PX = 0.15
 # Lower bound of the noise, pixels: exact matches, and those of frozen images, have none (choice).

@@ -25,14 +25,13 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, so3_exp, so3_log
 from sylpose.matches import MAX_STATIC_PX
 from sylpose.relative_pose.irls import (
-    CUTOFF,
     MISMATCH_RANGE,
     IrlsFit,
     make_empty_irls_fit,
     make_irls_start,
     run_irls,
 )
-from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, MAX_SAMPLES, SIGMA_FLOOR_PX
+from sylpose.relative_pose.limits import CUTOFF, HALF_DIGITS, MAX_ROUNDS, MAX_SAMPLES, MIN_ERROR_PX, SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import (
     Tolerance,
     compute_distances,
@@ -57,8 +56,6 @@ MIN_CORRELATION_SIGMAS, MIN_CORRELATION = 5.0, 0.15
 # two bodies is more frequent, and this is sufficient (measured: of 7,508 right answers 13 that are weakly observed are
 # beyond, of 82 wrong ones 16).
 MIN_SIGMAS_UNCERTAIN = 2.5
-# Their shared error must also exceed this, pixels: smaller ones are rounding, lenses and keypoints (choice).
-MIN_SHARED_ERROR_PX = 0.1
 # Largest change of an assignment at convergence; one motion's noise is at least this share of the other's, or of the static
 # matches' (choice).
 CONVERGED_CHANGE, MIN_SIGMA_RATIO = 0.02, 0.9
@@ -128,7 +125,7 @@ def is_mixed(correlation: float, deviations: float, covariance: float, is_uncert
         is_uncertain: whether the motion is weakly observed, or the assignment of matches is uncertain.
     """
     significant = deviations > (MIN_SIGMAS_UNCERTAIN if is_uncertain else MIN_CORRELATION_SIGMAS)
-    return bool(significant and correlation > MIN_CORRELATION and covariance > MIN_SHARED_ERROR_PX**2)
+    return bool(significant and correlation > MIN_CORRELATION and covariance > MIN_ERROR_PX**2)
 
 
 @kernel
@@ -220,9 +217,6 @@ MIN_MOVED_SQUARE, CHANCE_SHARE = 9.2, 0.01
 # Mismatches are displaced farther than this (measured: without it, an object at rest with 5 % mismatches is mostly static,
 # instead of without motion, in 25 of 25 scenes).
 MAX_MOVED_SQUARE = 200.0
-# The number of those that moved exceeds the number by chance by so many standard deviations (choice: at 3, 5 of 30 static
-# scenes of 20 matches are taken for moving ones, at 5 two).
-CHANCE_SDS = 5.0
 # Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
 # to 4 px without a background 2.1 at most in 24 scenes), and the least number of moving matches (choice).
 MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
@@ -281,7 +275,7 @@ def has_moving_matches(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool
     squares = 0.5 * squared_px / _estimate_static_sigma(squared_px, usable, single) ** 2
     moved_count = int((usable & (squares > MIN_MOVED_SQUARE) & (squares < MAX_MOVED_SQUARE)).sum())
     by_chance = CHANCE_SHARE * usable.sum()
-    return bool(moved_count > by_chance + CHANCE_SDS * np.sqrt(by_chance))
+    return bool(moved_count > by_chance + CUTOFF * np.sqrt(by_chance))
 
 
 def split_background(

@@ -11,7 +11,8 @@ from sylpose.geometry.matrices import invert_information
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
 from sylpose.geometry.numba_linalg import kernel, so3_log
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.relative_pose.irls import CUTOFF, IrlsFit
+from sylpose.relative_pose.irls import IrlsFit
+from sylpose.relative_pose.limits import CUTOFF, MOST
 from sylpose.relative_pose.match_cost import Tolerance, compute_distances, make_match_errors, make_term
 from sylpose.relative_pose.terms import Fit, Stack
 from sylpose.status import Status
@@ -25,8 +26,6 @@ MAX_ROD_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # They also count as collinear up to this deviation if they extend so many times as far along the line. The depth of so
 # thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
 MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
-# A larger share of inliers does not occur by chance (choice).
-MIN_CERTAIN_SHARE = 0.7
 # Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
 # single one (choice).
 SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
@@ -90,7 +89,7 @@ def is_consistent(stack: Stack, usable: BoolArray, fit: IrlsFit) -> bool:
     """
     weights = fit.weights
     inliers, total = int((weights > 0).sum()), int(usable.sum())
-    if inliers >= MIN_CERTAIN_SHARE * total:
+    if inliers >= MOST * total:
         return True
     by_chance, candidate = 0.0, fit.candidate._replace(depth_model=stack.depth_model_mean)
     matches, usable_weights = make_match_errors(len(stack.x)), usable.astype(np.float64)

@@ -31,6 +31,7 @@ from sylpose.relative_pose.camera_evidence import (
     MAX_POOLED_F_RATIO,
     MIN_BASELINE,
     MIN_MATCHES,
+    MIN_POOLED,
     compute_f_ratio,
     explains_as_well,
     measure_excess,
@@ -54,9 +55,9 @@ MAX_AGREEING = 2.0
 # Other axes of pixels explain the contradiction of one pair of frames if they reduce the F ratio by at least this factor
 # (measured: right motions seem to be explained by 4 at most, wrong axes are by 11 and more: docs/history/benchmarks.md).
 MIN_AXES_REDUCTION = 8.0
-# A contradiction needs so many pairs of frames, and so does its explanation; that of a late camera needs more, since six
-# lags of each camera are tried (choice).
-MIN_PAIRS, MIN_LATE_PAIRS = 2, 3
+# A contradiction needs so many pairs of frames, and so does its explanation (choice); that of a late camera needs
+# `MIN_POOLED`, since six lags of each camera are tried.
+MIN_PAIRS = 2
 # More hypotheses that fit alike name nothing (choice).
 MAX_NAMED = 3
 # Units that a calibration may mix up, larger and smaller one (choice: a displaced camera of three may agree in inches
@@ -124,7 +125,7 @@ class HypothesisFit:
     @property
     def is_agreement(self) -> bool:
         """Whether the hypothesis explains a contradiction."""
-        min_pairs = MIN_LATE_PAIRS if self.hypothesis.mistake is Mistake.LATE else MIN_PAIRS
+        min_pairs = MIN_POOLED if self.hypothesis.mistake is Mistake.LATE else MIN_PAIRS
         # Two pairs have no majority: a larger ratio makes up for that.
         min_given = MAX_POOLED_F_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
         is_contradiction = self.n_pairs >= min_pairs and self.given_ratio > min_given

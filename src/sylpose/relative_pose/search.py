@@ -30,7 +30,13 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.normal_equations import eliminate_block
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf, so3_exp, so3_log
-from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE
+from sylpose.relative_pose.limits import (
+    HALF_DIGITS,
+    MAX_ROTATION_STEP,
+    MAX_ROUNDS,
+    MAX_STEPS,
+    ROUGHLY_CONVERGED_DECREASE,
+)
 from sylpose.relative_pose.moments_cost import (
     MomentSums,
     NormalEquations,
@@ -48,18 +54,14 @@ from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, MIN_MATCHES, Cand
 # motions (measured: creeps in benchmarks/kinds.py, 48 degrees off); without one, two bodies are found as one motion
 # (tests/tracking/test_bodies.py) (choice).
 CHECK_STEPS, MAX_LIKELIHOOD_GAP = 3, 300.0
-# Steps of the planar part alone, at first and from a mirror image, and the predicted decrease at convergence (choice).
-PLANE_STEPS, MIRROR_STEPS, PLANE_TOLERANCE = 12, 3, 1.0
-# Maximum number of steps of the full cost from each start (choice).
-MAX_STEPS = 20
+# Predicted decrease of the planar part alone at convergence (choice).
+PLANE_TOLERANCE = 1.0
 # Two minima are the same if their rotations, radians, and their translations, relative to their length, differ by less; so
 # are two starts if their rotations, relative to their angle, do (choice).
 SAME_MOTION = 0.01
 # A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
 # (choice).
 MAX_COST_RATIO = 4.0
-# Largest rotation of a step, radians: the range in which the derivatives are valid (choice).
-MAX_ROTATION_STEP = 0.5
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
 # Number of points where lines of rotations meet that are tried, as many as two cameras have; number of terms whose axes
@@ -481,7 +483,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            done, _, _ = descend(stack, sums, True, PLANE_STEPS, candidate, INITIAL_DAMPING, workspace)
+            done, _, _ = descend(stack, sums, True, MAX_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done
         elif guess < 0:
             axis = axes[mirror]
@@ -500,7 +502,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
             so3_exp(affine_rotvecs[guess - n_guesses], candidate.rotation)
             candidate.translation[:] = first_translation
         if 0 < start <= 2 * n_mirrors and start % 2 == 0:
-            done, _, _ = descend(stack, sums, True, MIRROR_STEPS, candidate, INITIAL_DAMPING, workspace)
+            done, _, _ = descend(stack, sums, True, CHECK_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done
         decrease, damping = np.inf, INITIAL_DAMPING
         dropped = _is_known(candidate, minima)

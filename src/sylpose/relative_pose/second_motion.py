@@ -18,6 +18,7 @@ from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.faulty_cameras import solve_subset
 from sylpose.relative_pose.limits import MAX_SAMPLES
+from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
 from sylpose.status import Status
@@ -28,8 +29,6 @@ MIN_OUTLIER_RATIO, MIN_BODY_RATIO = 0.1, 0.25
 # Neighbors move alike if their displacements differ by less than this share of the difference between any two matches,
 # in the median: mismatches have about 1 ± 0.2 (choice).
 MAX_NEIGHBOR_RATIO = 0.5
-# If the first motion keeps its matches except for this share, the second keeps its own (choice).
-SAME_INLIERS_SHARE = 0.05
 # A body with more than this share of the other's matches might be the object as well (choice).
 AMBIGUOUS_RATIO = 0.8
 
@@ -69,7 +68,7 @@ def select_larger_body(
         return None
     first_inliers = [w > 0 for w in first.fit.weights]
     changed = _count_true([a != b for a, b in zip(first_inliers, inliers, strict=True)])
-    if changed > SAME_INLIERS_SHARE * _count_true(inliers):
+    if changed > MISMATCH_PROBABILITY * _count_true(inliers):
         second = _solve_motion(data, [~m for m in first_inliers], solve) or second
     counts = [_count_true([w > 0 for w in s.fit.weights]) for s in (first, second)]
     larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)

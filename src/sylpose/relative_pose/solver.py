@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import remove_direction
+from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.relative_pose import motion_mixture, observability, uncertainty
 from sylpose.relative_pose.camera_evidence import (
     MIN_REDUCTION,
@@ -48,9 +49,6 @@ Information = tuple[FloatArray, FloatArray]
 
 # A solver whose last step was one standard deviation long has not converged: half its square (derived).
 MAX_PREDICTED_DECREASE = 0.5
-# Standard deviation towards a nearby alternative motion, as a share of the distance to it, in addition to its own (choice:
-# two standard deviations).
-ALTERNATIVE_SD_RATIO = 0.5
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
 # With fewer inliers, or with a weakly observed direction, the solver must return to the same motion from it (choice).
@@ -290,7 +288,7 @@ def _consider_alternatives(
             return minima, motion, information
         start = make_irls_start(stack, Candidate(*motion, stack.depth_model_mean), irls_fit.sigma_px)
         refit, refit_cost = uncertainty.fit_edge_on(stack, probabilities, start)
-        columns = [ALTERNATIVE_SD_RATIO * likeliest.step[:, None]]
+        columns = [UNOBSERVABLE_RATIO * likeliest.step[:, None]]
         columns += [uncertainty.compute_square_root(refit.information, radius)] if refit_cost < np.inf else []
         information = _inflate_both(information, np.column_stack(columns))
     if weakly_observed:

@@ -33,7 +33,6 @@ from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, dot, kernel, so3_log, solve_factored
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import (
-    CUTOFF,
     N_MOTION,
     IrlsFit,
     make_irls_start,
@@ -43,7 +42,7 @@ from sylpose.relative_pose.irls import (
     run_constrained_irls,
     run_irls,
 )
-from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE, SIGMA_FLOOR_PX
+from sylpose.relative_pose.limits import CUTOFF, HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE, SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
     build_match_equations,
@@ -323,8 +322,6 @@ NORMAL_FOURTH_MOMENT = 3.0
 # 2,952 answers with a direction above 5 %, half have one above this, and 58 of the 68 confidently wrong ones; of 800 usual
 # answers 26).
 WEAKLY_OBSERVED_SHARE = 0.08
-# The far displacement, in standard deviations (choice).
-FAR_SIGMAS = 6.0
 # The result is included as if it were no farther than this (chi-squared, once in a thousand times) ...
 MAX_INCLUDED_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # ... if the covariance is too small for it by more than this (measured: if all are included, the mean normalized
@@ -386,7 +383,7 @@ def refit_along_weak_direction(
         return []
     along, constraint = scale * vectors[:, 0], vectors[:, 0] / scale
     constraint /= np.linalg.norm(constraint)
-    out, length = [], min(FAR_SIGMAS * float(sd[0]), size)
+    out, length = [], min(CUTOFF * float(sd[0]), size)
     for step_length in (-length, length):
         refit = make_irls_start(stack, fit.candidate, fit.sigma_px)
         apply_rotvec(step_length * along[:3], fit.candidate.rotation, refit.candidate.rotation)

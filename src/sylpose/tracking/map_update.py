@@ -19,7 +19,8 @@ from sylpose.relative_pose.camera_evidence import (
     compute_f_ratio,
     pool_f_ratios,
 )
-from sylpose.relative_pose.irls import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
+from sylpose.relative_pose.irls import MAX_REJECTED_SHARE
+from sylpose.relative_pose.limits import MOST
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability
@@ -291,7 +292,7 @@ def measure_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     """
     excess = np.array([agreement.evidence.excess for agreement in agreements])
     counts = np.array([(agreement.n_inlier_matches, agreement.n_matches) for agreement in agreements])
-    agrees = (counts[:, 0] >= MIN_MATCHES) & (counts[:, 0] > MIN_AGREEING_SHARE * counts[:, 1])
+    agrees = (counts[:, 0] >= MIN_MATCHES) & (counts[:, 0] > MOST * counts[:, 1])
     evidence, n_silent = np.sort(excess[~np.isnan(excess)]), int(np.count_nonzero(agrees & np.isnan(excess)))
     n_known = len(evidence) + n_silent
     if n_known < min(min_kept, len(agreements)):
@@ -320,7 +321,7 @@ def _compute_inflation(candidate: PoseCandidate) -> FloatArray:
     """Return the variance inflation (C,) as in `FramePose`; NaN for cameras with too few matches to judge."""
     shares = np.array([a.n_inlier_matches / max(a.n_matches, 1) for a in candidate.agreements])
     is_judged = np.array([a.n_matches for a in candidate.agreements]) >= MIN_MATCHES
-    is_rejected = is_judged & (shares < MAX_REJECTED_SHARE) & (shares.max() > MIN_AGREEING_SHARE)
+    is_rejected = is_judged & (shares < MAX_REJECTED_SHARE) & (shares.max() > MOST)
     return np.where(is_rejected, np.inf, np.where(is_judged, candidate.solution.variance_inflation, np.nan))
 
 
