@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.search import N_MEETINGS, estimate_affine_rotations
+from sylpose.relative_pose.search import MAX_HYPOTHESES, estimate_affine_rotations
 from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
 from sylpose.rig import Rig
 from sylpose.simulate import arc, plane, random_motion, simulate_matches
@@ -31,7 +31,7 @@ def make_stack(rig: Rig, seed: int, turn: float, body: Body = BOARD, earlier: Ri
 
 
 def estimate_rotvecs(stack: Stack) -> FloatArray:
-    rotvecs = np.zeros((N_MEETINGS, 3))
+    rotvecs = np.zeros((MAX_HYPOTHESES, 3))
     return rotvecs[: estimate_affine_rotations(stack, make_moment_sums(stack, 0.5), rotvecs)]
 
 

@@ -36,8 +36,14 @@ from scipy.special import ndtri
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
-from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
-from sylpose.relative_pose.limits import MAX_ROUNDS, MAX_STEPS, MIN_SHARE, ROUGHLY_CONVERGED_DECREASE
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, chi_squared_bound
+from sylpose.relative_pose.limits import (
+    MAX_ROUNDS,
+    MAX_STEPS,
+    MIN_SHARE,
+    ROUGHLY_CONVERGED_DECREASE,
+    SIGMA_FLOOR_PX,
+)
 from sylpose.relative_pose.terms import TermData, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
@@ -54,11 +60,10 @@ N_NUISANCES = 8
 N_OWN, N_JOINT = 5, 6
 # A camera needs twice as many matches as unknowns to have a fit of its own (derived).
 MIN_MATCHES = 2 * N_OWN
-# Smallest noise of a camera, pixels: frozen images have none (choice).
-MIN_SIGMA_PX = 0.05
 # A camera's own motion begins with `MIN_SHARE` of its matches, those that the joint motion explains best: where other things
-# move, too, the object may have as few. Its inliers are within so many standard deviations (choice).
-MAX_SIGMAS = 3.0
+# move, too, the object may have as few. Its inliers are within so many standard deviations (chi-squared,
+# all but one in a thousand).
+MAX_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # Standard deviation of normal residuals of which this share is smaller than 1 (derived).
 SIGMA_OF_SHARE = 1.0 / float(ndtri(0.5 + 0.5 * MIN_SHARE))
 # A motion that moves the camera relative to the object by less than this share of its distance has no epipolar geometry:
@@ -256,7 +261,7 @@ def _measure_excess(
         if own[i] > 0.0:
             count += 1
             squares += residuals[i] ** 2
-    sigma = max(np.sqrt(squares / (count - N_OWN)), MIN_SIGMA_PX)
+    sigma = max(np.sqrt(squares / (count - N_OWN)), SIGMA_FLOOR_PX)
     effective = sigma * sigma * compute_design_effect(y, own, residuals)
     # Outliers that the own motion happens to explain are the worst of the joint one.
     joint = np.empty(len(x))
@@ -432,7 +437,7 @@ def _trim(
     else:
         sigma = SIGMA_OF_MEDIAN * compute_median(used[:count])
     for i in range(len(x)):
-        weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * max(sigma, MIN_SIGMA_PX) else 0.0
+        weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * max(sigma, SIGMA_FLOOR_PX) else 0.0
     return True
 
 

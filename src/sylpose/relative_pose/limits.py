@@ -26,6 +26,8 @@ CUTOFF = 5.0
 # are no more than this share (derived).
 MIN_SHARE = 1.0 / 3.0
 MOST = 1.0 - MIN_SHARE
+# Probability of a mismatch (choice).
+MISMATCH_PROBABILITY = 0.05
 # Smaller errors of images, pixels, are no evidence: rounding, lenses, perspective (choice).
 MIN_ERROR_PX = 0.15
 # Lower bound of the noise, pixels: exact matches, and those of frozen images, have none (choice).

@@ -31,7 +31,16 @@ from sylpose.relative_pose.irls import (
     make_irls_start,
     run_irls,
 )
-from sylpose.relative_pose.limits import CUTOFF, HALF_DIGITS, MAX_ROUNDS, MAX_SAMPLES, MIN_ERROR_PX, SIGMA_FLOOR_PX
+from sylpose.relative_pose.limits import (
+    CUTOFF,
+    HALF_DIGITS,
+    MAX_ROUNDS,
+    MAX_SAMPLES,
+    MIN_ERROR_PX,
+    MISMATCH_PROBABILITY,
+    ROUGHLY_CONVERGED_DECREASE,
+    SIGMA_FLOOR_PX,
+)
 from sylpose.relative_pose.match_cost import (
     Tolerance,
     compute_distances,
@@ -42,12 +51,10 @@ from sylpose.relative_pose.observability import is_consistent
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into
 
-# Probability of a mismatch (choice).
-MISMATCH_PROBABILITY = 0.05
+# Least weight for the comparison of neighbors; matches below may belong to another motion (choice).
+MIN_COMPARED_WEIGHT = 0.3
 # Number of image neighbors that a match's residual is compared with (choice).
 N_NEIGHBORS = 3
-# Least weight for the comparison; matches below may belong to another motion (choice).
-MIN_COMPARED_WEIGHT = 0.3
 # Residuals are correlated if their correlation exceeds zero by so many standard deviations, of about 1.3 (measured: 150
 # scenes of each of ten settings of benchmarks/nees.py with 120 matches per camera, 4.2 at most), and the second value: with
 # many matches, small calibration errors are detected too (choice).
@@ -56,9 +63,8 @@ MIN_CORRELATION_SIGMAS, MIN_CORRELATION = 5.0, 0.15
 # two bodies is more frequent, and this is sufficient (measured: of 7,508 right answers 13 that are weakly observed are
 # beyond, of 82 wrong ones 16).
 MIN_SIGMAS_UNCERTAIN = 2.5
-# Largest change of an assignment at convergence; one motion's noise is at least this share of the other's, or of the static
-# matches' (choice).
-CONVERGED_CHANGE, MIN_SIGMA_RATIO = 0.02, 0.9
+# One motion's noise is at least this share of the other's, or of the static matches' (choice).
+MIN_SIGMA_RATIO = 0.9
 # Largest noise of static matches, pixels: their rms displacement, twice that, is at most `MAX_STATIC_PX` (derived).
 MAX_STATIC_SIGMA_PX = 0.5 * MAX_STATIC_PX
 
@@ -205,7 +211,7 @@ def fit_motion_mixture(
             min_sigma_px = MIN_SIGMA_RATIO * float(np.median(fits[1 - k].sigma_px))
             done, decreases[k], _ = run_irls(stack, probabilities[k], fits[k], min_sigma_px)
             iterations += done
-        if np.abs(probabilities - previous).max() < CONVERGED_CHANGE or not max(decreases) < np.inf:
+        if np.abs(probabilities - previous).max() < ROUGHLY_CONVERGED_DECREASE or not max(decreases) < np.inf:
             break
     density = shares[0] * compute_motion_density(stack, fits[0]) + shares[1] * compute_motion_density(stack, fits[1])
     return MotionMixture(fits, probabilities, compute_cost(stack, all_usable, density), max(decreases), iterations)
@@ -502,7 +508,7 @@ def _fit_mixture(
         # Otherwise a few accidental matches, nearly without noise, would become the motion.
         done, decrease, _ = run_irls(stack, moving_probability, fit, MIN_SIGMA_RATIO * sigma)
         iterations += done
-        if change < CONVERGED_CHANGE or not decrease < np.inf:
+        if change < ROUGHLY_CONVERGED_DECREASE or not decrease < np.inf:
             break
     share /= 1.0 - MISMATCH_PROBABILITY
     density = share * _compute_static_density(squared_px, sigma) + (1.0 - share) * compute_motion_density(stack, fit)

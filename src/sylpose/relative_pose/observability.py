@@ -23,14 +23,14 @@ MIN_MOTION_SQUARE, MIN_ROTATION_SQUARE = chi_squared_bound(6), chi_squared_bound
 # Points are collinear if they deviate from a line by at most this, in standard deviations of their noise (chi-squared, once
 # in a thousand times).
 MAX_ROD_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
-# They also count as collinear up to this deviation if they extend so many times as far along the line. The depth of so
-# thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
-MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
 # Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
 # single one (choice).
 SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
 # Number of permutations to measure chance (choice).
 N_PERMUTATIONS = 8
+# They also count as collinear up to this deviation if they extend so many times as far along the line. The depth of so
+# thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
+MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
 
 
 def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:

@@ -18,12 +18,12 @@ from sylpose.relative_pose.irls import (
 )
 from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_ROUNDS, MIN_ERROR_PX, SIGMA_FLOOR_PX
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
-from sylpose.relative_pose.search import make_minima, search_minima
+from sylpose.relative_pose.search import MAX_HYPOTHESES, make_minima, search_minima
 from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack, copy_into
 
-# Maximum number of minima to refine, and how far their log-likelihood may be below the best: the moments, with
-# denominators at the mean rays, misjudge it by some tens for large rotations (choice).
-MAX_MINIMA, MAX_LIKELIHOOD_GAP = 4, 60.0
+# How far the log-likelihood of a minimum to refine may be below the best: the moments, with denominators at the mean rays,
+# misjudge it by some tens for large rotations (choice).
+MAX_LIKELIHOOD_GAP = 60.0
 # Passes with few terms (matches of one camera with one frame), and how many are few (choice: without the second pass 25
 # instead of 18 of 224 pairs of images are wrong and sure). Later passes skip minima whose rotation differs from a refined
 # one by less than this share of the rotation (choice).
@@ -72,13 +72,13 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         guesses: initial motions in addition to the built-in ones.
     """
     fit = make_empty_irls_fit(stack)
-    k = N_PASSES * MAX_MINIMA
+    k = N_PASSES * MAX_HYPOTHESES
     refined = RefinedMinima(np.zeros((k, 3, 3)), np.zeros((k, 3)), np.full(k, np.inf), np.zeros(k))
     n, trial = stack.focal.shape[0], make_empty_irls_fit(stack)
     sums, first_sigma = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
     _select_seeds(stack, usable, picks, trial.weights, first_sigma)
     best, decrease, iterations = np.inf, np.inf, 0
-    seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), make_minima(MAX_MINIMA, n)
+    seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), make_minima(MAX_HYPOTHESES, n)
     # Mismatches among the seeds displace the minima. Few cameras leave many minima to distinguish, so a second pass
     # searches the inliers of the first.
     for pass_index in range(N_PASSES if n <= MAX_FEW_TERMS else 1):
@@ -90,13 +90,13 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
                 sums.moments[t, 8, 8] = HALF_DIGITS
             sums.variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
         iterations += search_minima(stack, sums, guesses, minima)
-        for m in range(MAX_MINIMA):
+        for m in range(MAX_HYPOTHESES):
             # Refine further minima if they are nearly as likely, or if the first did not converge.
             if not minima.likelihoods[m] > (
                 minima.likelihoods[0] - MAX_LIKELIHOOD_GAP if decrease < CONVERGED_DECREASE else -np.inf
             ):
                 continue
-            if pass_index > 0 and _is_refined(minima.rotations[m], refined, MAX_MINIMA * pass_index + m):
+            if pass_index > 0 and _is_refined(minima.rotations[m], refined, MAX_HYPOTHESES * pass_index + m):
                 continue
             # Start at the minimum, with everything else at its prior.
             trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
@@ -104,7 +104,7 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
             trial.candidate.depth_model[:] = stack.depth_model_mean
             trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
             done, new_decrease, cost = run_constrained_irls(stack, usable, trial, SIGMA_FLOOR_PX, np.zeros(6))
-            iterations, k = iterations + done, MAX_MINIMA * pass_index + m
+            iterations, k = iterations + done, MAX_HYPOTHESES * pass_index + m
             refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
             if cost < best:

@@ -54,8 +54,6 @@ from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, MIN_MATCHES, Cand
 # motions (measured: creeps in benchmarks/kinds.py, 48 degrees off); without one, two bodies are found as one motion
 # (tests/tracking/test_bodies.py) (choice).
 CHECK_STEPS, MAX_LIKELIHOOD_GAP = 3, 300.0
-# Predicted decrease of the planar part alone at convergence (choice).
-PLANE_TOLERANCE = 1.0
 # Two minima are the same if their rotations, radians, and their translations, relative to their length, differ by less; so
 # are two starts if their rotations, relative to their angle, do (choice).
 SAME_MOTION = 0.01
@@ -64,9 +62,9 @@ SAME_MOTION = 0.01
 MAX_COST_RATIO = 4.0
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
-# Number of points where lines of rotations meet that are tried, as many as two cameras have; number of terms whose axes
-# mirror, and of those that the lines are first taken from (choice: docs/history/benchmarks.md).
-N_MEETINGS, MAX_FIRST_TERMS = 4, 4
+# Maximum number of points where lines of rotations meet that are tried, as many as two cameras have; of terms whose axes
+# mirror, and that the lines are first taken from; and of minima (choice: docs/history/benchmarks.md).
+MAX_HYPOTHESES = 4
 
 
 class Workspace(NamedTuple):
@@ -205,7 +203,7 @@ def descend(
         number of iterations; the predicted decrease of the last step: half the squared length of the step, in standard
         deviations of the motion, below the tolerance if converged, 0 if no step lowers the cost; the current damping.
     """
-    n, decrease, tolerance = stack.focal.shape[0], np.inf, PLANE_TOLERANCE if planar else work.tolerance
+    n, decrease, tolerance = stack.focal.shape[0], np.inf, work.tolerance
     normal, gain, kappa, costs, term_weights, squares, _, right, step, _, _, trial, view, _ = work
     kappa[:] = 0.0
     term_weights[:] = 1.0
@@ -292,7 +290,7 @@ def estimate_affine_rotations(stack: Stack, sums: MomentSums, rotvecs: FloatArra
     gaps, rotvec, chosen = np.full(len(rotvecs), np.inf), np.empty(3), np.empty(n_lines, np.int64)
     # Two lines meet somewhere; of each other term the line that passes nearer belongs to the same rotation. Of many terms,
     # a few are enough to begin with.
-    n_first = min(n_lines, MAX_FIRST_TERMS)
+    n_first = min(n_lines, MAX_HYPOTHESES)
     for a in range(n_first):
         for b in range(a + 1, n_first):
             s, t = a * n_lines // n_first, b * n_lines // n_first
@@ -470,11 +468,11 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_workspace(n)
     minima.likelihoods[:] = -np.inf
     # Some optical axes, and a zero row for the reversed rotation.
-    n_axes = min(n, MAX_FIRST_TERMS)
+    n_axes = min(n, MAX_HYPOTHESES)
     n_mirrors, axes = n_axes + 1, np.zeros((n_axes + 1, 3))
     for k in range(n_axes):
         axes[k] = stack.qx[k * n // n_axes, 2]
-    affine_rotvecs = np.zeros((N_MEETINGS, 3))
+    affine_rotvecs = np.zeros((MAX_HYPOTHESES, 3))
     n_affine = estimate_affine_rotations(stack, sums, affine_rotvecs)
     rotvec, mirrored_rotvec = np.zeros(3), np.empty(3)
     first_translation, first_depth_model, count = np.zeros(3), np.zeros((n, 3)), 0

@@ -17,8 +17,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.faulty_cameras import solve_subset
-from sylpose.relative_pose.limits import MAX_SAMPLES
-from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
+from sylpose.relative_pose.limits import MAX_SAMPLES, MISMATCH_PROBABILITY
 from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
 from sylpose.status import Status

@@ -312,9 +312,8 @@ def find_likeliest_alternative(
     return best
 
 
-# Largest deviation across the valley, relative to the distance along it, and the least restoring curvature as a share of the
-# quadratic one (choice).
-MAX_DEVIATION_RATIO, MIN_CURVATURE_SHARE = 0.5, 0.05
+# Least restoring curvature as a share of the quadratic one (choice).
+MIN_CURVATURE_SHARE = 0.05
 # The mean fourth power of a normal variable: the variance that results from a deviation at one standard deviation
 # (derived).
 NORMAL_FOURTH_MOMENT = 3.0
@@ -352,7 +351,7 @@ def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit
                 return np.column_stack([*columns, sd[k] * along])
             # The deviation is small relative to the displacement; otherwise another minimum was reached.
             deviation = float(np.linalg.norm(deviations[side] / scale))
-            deviations[side] *= min(1.0, MAX_DEVIATION_RATIO * length / max(deviation, 1e-300))
+            deviations[side] *= min(1.0, UNOBSERVABLE_RATIO * length / max(deviation, 1e-300))
             restoring += 0.5 * max(force * float(sd[k]) ** 2 / length, 0.0)
         columns += [np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * row for row in deviations]
         if restoring < 1.0:
