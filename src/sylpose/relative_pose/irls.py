@@ -45,8 +45,6 @@ SHRINKAGE, GAIN = bisquare_noise_response(CUTOFF).shrinkage, bisquare_noise_resp
 UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 # The midpoint between it and the mean weight of noise (derived).
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
-# Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
-EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
 # Largest relative change of an inverse depth in one step (choice).
 MAX_DEPTH_CHANGE = 0.5
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
@@ -208,8 +206,7 @@ def run_constrained_irls(
     bound = max(MAX_SIGMA_GROWTH * sigma_px.max(), min_sigma_px)
     decrease, length, count, converged = np.inf, 1.0, 0, False
     for count in range(1, MAX_ROUNDS + 2):
-        cutoff = CUTOFF * (EARLY_CUTOFF_FACTORS[count - 1] if count <= len(EARLY_CUTOFF_FACTORS) else 1.0)
-        if not _sum_terms(stack, usable, fit, cutoff, converged, work):
+        if not _sum_terms(stack, usable, fit, CUTOFF, converged, work):
             return count, np.inf, np.inf
         if converged:
             if decrease >= CONVERGED_DECREASE:
@@ -219,7 +216,7 @@ def run_constrained_irls(
             return count, np.inf, np.inf
         last_decrease, decrease = decrease, 0.5 * dot(step, right)
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
-        if decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1:
+        if decrease > last_decrease:
             length *= 0.5
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, MAX_ROTATION_STEP / max(angle, 1e-300))
@@ -238,7 +235,7 @@ def run_constrained_irls(
             _update_sigma(stack, fit, work)
             sigma_px[:] = np.minimum(np.maximum(sigma_px, min_sigma_px), bound)
             _update_residual_depth(stack, fit, work)
-        converged = (count > len(EARLY_CUTOFF_FACTORS) and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
+        converged = (count > 1 and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
     return count, decrease, _finish(stack, usable, fit, work)
 
 
