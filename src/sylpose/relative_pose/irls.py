@@ -24,8 +24,8 @@ from sylpose.relative_pose.limits import (
     CONVERGED_DECREASE,
     CUTOFF,
     HALF_DIGITS,
-    MAX_ROTATION_STEP,
     MAX_ROUNDS,
+    MAX_STEP,
     MIN_SHARE,
 )
 from sylpose.relative_pose.match_cost import (
@@ -45,8 +45,6 @@ SHRINKAGE, GAIN = bisquare_noise_response(CUTOFF).shrinkage, bisquare_noise_resp
 UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 # The midpoint between it and the mean weight of noise (derived).
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
-# Largest relative change of an inverse depth in one step (choice).
-MAX_DEPTH_CHANGE = 0.5
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
@@ -219,13 +217,13 @@ def run_constrained_irls(
         if decrease > last_decrease:
             length *= 0.5
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-        length_now = length * min(1.0, MAX_ROTATION_STEP / max(angle, 1e-300))
+        length_now = length * min(1.0, MAX_STEP / max(angle, 1e-300))
         for t in range(n):
             # Keep the object in front of its cameras.
             depth_change = gains[t, 0, 7]
             for j in range(7):
                 depth_change -= gains[t, 0, j] * step[j]
-            length_now = min(length_now, MAX_DEPTH_CHANGE * abs(depth_model[t, 0]) / max(abs(depth_change), 1e-300))
+            length_now = min(length_now, MAX_STEP * abs(depth_model[t, 0]) / max(abs(depth_change), 1e-300))
         apply_step(fit.candidate, fit.distance_offset, step, gains, length_now)
         for t in range(n):
             work.mass[t] = compute_sum(fit.weights[stack.offsets[t] : stack.offsets[t + 1]])

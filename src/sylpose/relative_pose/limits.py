@@ -17,14 +17,15 @@ MAX_SAMPLES = 256
 CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
 # Maximum number of rounds of a solver, and of one that needs no more than a start for another (choice).
 MAX_ROUNDS, MAX_STEPS = 40, 20
-# Largest rotation of a step, radians: the range in which the derivatives are valid (choice).
-MAX_ROTATION_STEP = 0.5
+# Largest rotation of a step, radians, and relative change of an inverse depth: the range in which the derivatives are valid
+# (choice).
+MAX_STEP = 0.5
 # An error of more standard deviations is no noise (choice): as the cutoff of Tukey's bisquare it is 94 % efficient with
 # Gaussian noise in two directions, whose squared length is chi-squared with two degrees of freedom.
 CUTOFF = 5.0
-# A camera is used if this share of its matches agree, in which junk is the rest (choice); most matches agree if the others
-# are no more than this share (derived).
+# Least share of a camera's matches that agree for the camera to be used: junk alone reaches about a tenth (choice).
 MIN_SHARE = 1.0 / 3.0
+# Most of the matches agree if no more than this share do not (derived).
 MOST = 1.0 - MIN_SHARE
 # Probability of a mismatch (choice).
 MISMATCH_PROBABILITY = 0.05

@@ -51,8 +51,6 @@ Information = tuple[FloatArray, FloatArray]
 MAX_PREDICTED_DECREASE = 0.5
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
-# With fewer inliers, or with a weakly observed direction, the solver must return to the same motion from it (choice).
-FEW_INLIERS = 50
 
 
 class _Problem(NamedTuple):
@@ -273,8 +271,7 @@ def _consider_alternatives(
     weakly_observed = may_be_weak and uncertainty.has_weak_direction(stack, irls_fit, radius)
     cost = float(minima.costs.min())
     if needs_alternatives:
-        include_self = weakly_observed or checks.inliers < FEW_INLIERS
-        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, minima, include_self)
+        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, minima, weakly_observed)
         if refined_minima is None:
             return None
         minima = uncertainty.merge_minima(minima, refined_minima)
