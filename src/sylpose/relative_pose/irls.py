@@ -26,6 +26,7 @@ from sylpose.relative_pose.limits import (
     HALF_DIGITS,
     MAX_ROUNDS,
     MAX_STEP,
+    MAX_STEPS,
     MIN_SHARE,
 )
 from sylpose.relative_pose.match_cost import (
@@ -216,6 +217,8 @@ def run_constrained_irls(
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
         if decrease > last_decrease:
             length *= 0.5
+        elif count < MAX_STEPS:
+            length = min(2.0 * length, 1.0)
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, MAX_STEP / max(angle, 1e-300))
         for t in range(n):

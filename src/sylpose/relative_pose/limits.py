@@ -15,6 +15,9 @@ MAX_SAMPLES = 256
 # A fit has converged if the predicted decrease of its cost, half the square of the step in standard deviations, is below the
 # first value, a thirtieth of a standard deviation; a search for starts, or across a valley, below the second (choice).
 CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
+# A fit whose last step was one standard deviation long has not converged, and its planar part needs no more: half of the
+# square (derived).
+DECREASE_OF_ONE_SD = 0.5
 # Maximum number of rounds of a solver, and of one that needs no more than a start for another (choice).
 MAX_ROUNDS, MAX_STEPS = 40, 20
 # Largest rotation of a step, radians, and relative change of an inverse depth: the range in which the derivatives are valid

@@ -24,9 +24,10 @@ from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack, copy
 # How far the log-likelihood of a minimum to refine may be below the best: the moments, with denominators at the mean rays,
 # misjudge it by some tens for large rotations (choice).
 MAX_LIKELIHOOD_GAP = 60.0
-# Number of passes (choice: without the second one, 25 instead of 18 of 224 pairs of images are wrong and sure). It skips
-# minima whose rotation differs from a refined one by less than this share of the rotation (choice).
-N_PASSES, SAME_ROTATION_SHARE = 2, 0.1
+# Passes with few terms (matches of one camera with one frame), and how many are few (choice: without the second pass 25
+# instead of 18 of 224 pairs of images are wrong and sure). Later passes skip minima whose rotation differs from a refined
+# one by less than this share of the rotation (choice).
+N_PASSES, MAX_FEW_TERMS, SAME_ROTATION_SHARE = 2, 2, 0.1
 
 
 class RefinedMinima(NamedTuple):
@@ -78,8 +79,9 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
     _select_seeds(stack, usable, picks, trial.weights, first_sigma)
     best, decrease, iterations = np.inf, np.inf, 0
     seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), make_minima(MAX_HYPOTHESES, n)
-    # Mismatches among the seeds displace the minima, so a second pass searches the inliers of the first.
-    for pass_index in range(N_PASSES):
+    # Mismatches among the seeds displace the minima. Few cameras leave many minima to distinguish, so a second pass
+    # searches the inliers of the first.
+    for pass_index in range(N_PASSES if n <= MAX_FEW_TERMS else 1):
         for t in range(n):
             first, last = stack.offsets[t], stack.offsets[t + 1]
             compute_moments(stack.x[first:last], stack.y[first:last], seeds[first:last], sums.moments[t])

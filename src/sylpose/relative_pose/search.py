@@ -31,6 +31,7 @@ from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.normal_equations import eliminate_block
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf, so3_exp, so3_log
 from sylpose.relative_pose.limits import (
+    DECREASE_OF_ONE_SD,
     HALF_DIGITS,
     MAX_ROUNDS,
     MAX_STEP,
@@ -203,7 +204,7 @@ def descend(
         number of iterations; the predicted decrease of the last step: half the squared length of the step, in standard
         deviations of the motion, below the tolerance if converged, 0 if no step lowers the cost; the current damping.
     """
-    n, decrease, tolerance = stack.focal.shape[0], np.inf, work.tolerance
+    n, decrease, tolerance = stack.focal.shape[0], np.inf, DECREASE_OF_ONE_SD if planar else work.tolerance
     normal, gain, kappa, costs, term_weights, squares, _, right, step, _, _, trial, view, _ = work
     kappa[:] = 0.0
     term_weights[:] = 1.0

@@ -27,7 +27,7 @@ from sylpose.relative_pose.camera_evidence import (
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
-from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
+from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, SIGMA_FLOOR_PX
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import (
     MIN_MATCHES,
@@ -47,8 +47,6 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # The information of a fit, and the same without the prior on the depth models: (6, 6) each.
 Information = tuple[FloatArray, FloatArray]
 
-# A solver whose last step was one standard deviation long has not converged: half its square (derived).
-MAX_PREDICTED_DECREASE = 0.5
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
 
@@ -120,7 +118,7 @@ def fit_terms(
     if likelihood_gain > -np.inf and not _is_all_static(stack, usable, single):
         split = motion_mixture.split_background(stack, usable, single, likelihood_gain, starts, rng)
     # A mixture that does not converge is no evidence against a single motion.
-    split = split if split is not None and split.result.decrease < MAX_PREDICTED_DECREASE else None
+    split = split if split is not None and split.result.decrease < DECREASE_OF_ONE_SD else None
     if split is not None and split.likelihood_gain > motion_mixture.MIN_LIKELIHOOD_GAIN:
         moving = split.moving_probability
         fit = _build_fit(problem, split.result, moving, problem.diagnose(split.result.fit, moving))
@@ -158,7 +156,7 @@ def fit_two_motions(
     mixture = motion_mixture.fit_motion_mixture(stack, [(f.rotation, f.translation) for f in fits], inliers)
     probabilities = mixture.probabilities
     counts = probabilities.sum(axis=1)
-    if not (mixture.predicted_decrease < MAX_PREDICTED_DECREASE and counts.min() > MIN_MATCHES):
+    if not (mixture.predicted_decrease < DECREASE_OF_ONE_SD and counts.min() > MIN_MATCHES):
         return None
     rotation, translation, _ = mixture.fits[0].candidate
     minima = RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[:1])
@@ -190,7 +188,7 @@ def _build_fit(
     irls_fit, minima = result.fit, result.minima
     (rotation, translation, _), status, alternative = irls_fit.candidate, Status.OK, None
     # The unobservable rotation about a rod keeps the solver from converging: that is no failure.
-    has_converged = result.decrease < MAX_PREDICTED_DECREASE or rod_direction is not None
+    has_converged = result.decrease < DECREASE_OF_ONE_SD or rod_direction is not None
     if not (has_converged and np.isfinite(irls_fit.information).all()):
         return problem.fail(Status.NOT_CONVERGED)
     if checks.is_mixed and not checks.has_soft_assignment:
