@@ -63,7 +63,7 @@ MIN_MATCHES = 2 * N_OWN
 # A camera's own motion begins with `MIN_SHARE` of its matches, those that the joint motion explains best: where other things
 # move, too, the object may have as few. Its inliers are within so many standard deviations (chi-squared,
 # all but one in a thousand).
-MAX_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
+MAX_SIGMAS = 3.0
 # Standard deviation of normal residuals of which this share is smaller than 1 (derived).
 SIGMA_OF_SHARE = 1.0 / float(ndtri(0.5 + 0.5 * MIN_SHARE))
 # A motion that moves the camera relative to the object by less than this share of its distance has no epipolar geometry:

@@ -46,6 +46,8 @@ SHRINKAGE, GAIN = bisquare_noise_response(CUTOFF).shrinkage, bisquare_noise_resp
 UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 # The midpoint between it and the mean weight of noise (derived).
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
+# Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
+EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
@@ -205,7 +207,8 @@ def run_constrained_irls(
     bound = max(MAX_SIGMA_GROWTH * sigma_px.max(), min_sigma_px)
     decrease, length, count, converged = np.inf, 1.0, 0, False
     for count in range(1, MAX_ROUNDS + 2):
-        if not _sum_terms(stack, usable, fit, CUTOFF, converged, work):
+        cutoff = CUTOFF * (EARLY_CUTOFF_FACTORS[count - 1] if count <= len(EARLY_CUTOFF_FACTORS) else 1.0)
+        if not _sum_terms(stack, usable, fit, cutoff, converged, work):
             return count, np.inf, np.inf
         if converged:
             if decrease >= CONVERGED_DECREASE:
@@ -215,7 +218,7 @@ def run_constrained_irls(
             return count, np.inf, np.inf
         last_decrease, decrease = decrease, 0.5 * dot(step, right)
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
-        if decrease > last_decrease:
+        if decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1:
             length *= 0.5
         elif count < MAX_STEPS:
             length = min(2.0 * length, 1.0)
@@ -236,7 +239,7 @@ def run_constrained_irls(
             _update_sigma(stack, fit, work)
             sigma_px[:] = np.minimum(np.maximum(sigma_px, min_sigma_px), bound)
             _update_residual_depth(stack, fit, work)
-        converged = (count > 1 and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
+        converged = (count > len(EARLY_CUTOFF_FACTORS) and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
     return count, decrease, _finish(stack, usable, fit, work)
 
 
