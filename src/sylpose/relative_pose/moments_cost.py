@@ -34,8 +34,10 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, MIN_MATCHES, Candidate, Stack, transform_to_camera
+from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, Candidate, Stack, transform_to_camera
 
+# Weight of the prior in the estimate of the residual depth, as a number of matches (choice).
+PRIOR_MATCHES = 3.0
 # An excess below this many standard deviations of the noise variance is not residual depth (chi-squared, 95 %).
 NOISE_SIGMAS = float(np.sqrt(chi_squared_bound(1, 0.05)))
 
@@ -323,10 +325,10 @@ def estimate_view_variance(stack: Stack, sums: MomentSums, t: int, view: TermVie
     freedom = max(count - 3.0, 0.0)
     measured_variance = max(squares / max(freedom, 1.0), 2.0 * variance)
     # Average logarithms: the prior residual depth of other objects must not make a flat one unlikely.
-    logarithms = freedom * np.log(measured_variance) + MIN_MATCHES * np.log(prior_variance)
-    v = np.exp(logarithms / (freedom + MIN_MATCHES))
+    logarithms = freedom * np.log(measured_variance) + PRIOR_MATCHES * np.log(prior_variance)
+    v = np.exp(logarithms / (freedom + PRIOR_MATCHES))
     # Noise alone makes v vary.
-    noise = 2.0 * variance * (1.0 + NOISE_SIGMAS * np.sqrt(2.0 / (count + MIN_MATCHES)))
+    noise = 2.0 * variance * (1.0 + NOISE_SIGMAS * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
     if v > noise:
         return 1.0 - 2.0 * variance / v, v
     return 0.0, 2.0 * variance
