@@ -36,7 +36,7 @@ from scipy.special import ndtri
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
-from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, chi_squared_bound
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.relative_pose.limits import (
     MAX_ROUNDS,
     MAX_STEPS,

@@ -218,10 +218,8 @@ def run_constrained_irls(
             return count, np.inf, np.inf
         last_decrease, decrease = decrease, 0.5 * dot(step, right)
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
-        if decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1:
-            length *= 0.5
-        elif count < MAX_STEPS:
-            length = min(2.0 * length, 1.0)
+        growing = decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1
+        length = min(0.5 * length if growing else 2.0 * length, 1.0, MAX_STEPS / count)
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, MAX_STEP / max(angle, 1e-300))
         for t in range(n):
