@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.bundle_adjustment.calibration_refinement import TYPICAL_ERROR_PX
 from sylpose.display import Printable
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray, IntArray
@@ -56,8 +57,6 @@ SAME_RIG_PX = 5.0
 N_RESERVED_KEYFRAMES = 30
 # Factor by which the spacing of views grows while there are too many (choice).
 SPACING_FACTOR = 1.3
-# Assumed systematic image error of each of two calibrations, pixels, as no data determines it (choice).
-CALIBRATION_ERROR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -599,13 +598,13 @@ def transform_frame(frame: SolvedFrame, new_from_world: RigidTransform) -> Solve
 def estimate_calibration_sd(known: KnownObject, rig: Rig) -> float:
     """Return the standard deviation of an object's position between two rigs.
 
-    Both calibrations are assumed to have the usual accuracy. The result is in length units.
+    Both calibrations are assumed to have the usual image error, as no data determines it. The result is in length units.
     """
     positions = np.array([keyframe.world_from_object.translation for keyframe in known._keyframes])
     distance = float(np.median([np.linalg.norm(positions - camera.center, axis=1) for camera in known.rig]))
     # Mean over cameras with independent errors.
     variances = [
-        sum((CALIBRATION_ERROR_PX * distance / camera.focal) ** 2 for camera in cameras) / len(cameras) ** 2
+        sum((TYPICAL_ERROR_PX * distance / camera.focal) ** 2 for camera in cameras) / len(cameras) ** 2
         for cameras in (known.rig, rig)
     ]
     return float(np.sqrt(sum(variances)))
