@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.features.static_background import (
     MIN_CORNERS,
+    MIN_INLIER_RATIO,
     CameraRotation,
     RotationRectifier,
     StaticBackground,
@@ -21,8 +22,9 @@ from sylpose.features.static_background import (
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.rig import Camera
-from sylpose.tracking.camera_side.frame import REGION_MARGIN, project_outline, rasterize_outline
+from sylpose.tracking.camera_side.frame import SEARCH_MARGIN, project_outline, rasterize_outline
 from sylpose.tracking.reports import CameraMotionReport
 
 # An image, and the object's mask (h, w) in it.
@@ -32,9 +34,9 @@ View = tuple[Image | None, BoolArray | None]
 # "background" in benchmarks/kinds.py, 0.8 at least where it is static, less than 0.1 where it was nudged by a degree;
 # 0.6 where an object that fills half of the image starts to move).
 MIN_UNCHANGED_RATIO = 0.4
-# A rotation is detected if such a share of the corners tested, `MIN_CORNERS` at least, agree on it, spread over such a
-# share of the image, while at most such a share is static (choice).
-MIN_AGREEING_RATIO, MIN_SPREAD, MAX_STATIC_RATIO = 0.6, 0.1, 0.1
+# A rotation is detected if `MIN_INLIER_RATIO` of the corners tested, `MIN_CORNERS` at least, agree on it, spread over such a
+# share of the image (choice), while at most `MIN_OUTLIER_RATIO` of them are static: otherwise the camera sees both.
+MIN_SPREAD = 0.1
 # A nudge has at least this median displacement, pixels, and this many standard deviations (choice).
 NUDGE_PX, MIN_NUDGE_SDS = 2.0, 10.0
 # Two rotations are equal within so many pixels at the image center (choice),
@@ -138,7 +140,7 @@ class CameraMotionDetector:
     def _is_on_object(self, points: FloatArray | None) -> BoolArray:
         """Return which corners (n,) are on the object."""
         assert self.background is not None
-        region = None if points is None else project_outline(self.camera, points, REGION_MARGIN)
+        region = None if points is None else project_outline(self.camera, points, SEARCH_MARGIN)
         columns, rows = self.background.pixels.astype(np.int64).T
         return np.asarray(rasterize_outline(region, self.camera.size)[rows, columns])
 
@@ -147,8 +149,8 @@ def _is_nudge(rotation: CameraRotation) -> bool:
     """Return whether a rotation is that of the whole camera and significant."""
     is_majority = (
         rotation.n_inliers >= MIN_CORNERS
-        and rotation.n_inliers >= MIN_AGREEING_RATIO * rotation.n_evaluated
-        and rotation.n_static <= MAX_STATIC_RATIO * rotation.n_evaluated
+        and rotation.n_inliers >= MIN_INLIER_RATIO * rotation.n_evaluated
+        and rotation.n_static <= MIN_OUTLIER_RATIO * rotation.n_evaluated
     )
     is_significant = _rotation_angle(rotation.rotation) > MIN_NUDGE_SDS * rotation.sd
     return bool(

@@ -28,6 +28,7 @@ from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MA
 from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import is_more_than_chance
+from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
 from sylpose.rig import Camera
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
@@ -41,8 +42,9 @@ DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 MAX_RELATIVE_DEPTH_SD = 0.1
 # An outline (k, 2) in pixels; None: out of view.
 Region = FloatArray | None
-# Margin of the object's search region, as a share of its size in the image (choice).
-REGION_MARGIN = 0.15
+# Margin of a search at a predicted pose: around the object's region as a share of its size in the image, around a landmark's
+# projection as a share of the object's radius there; and that around a landmark's projection at a solved pose (choice).
+SEARCH_MARGIN, SOLVED_RADIUS = 0.15, 0.03
 # Directions in which an outline is dilated (choice).
 DILATION_DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
 # Default arrays.
@@ -50,9 +52,9 @@ _no_pixels = partial(np.empty, (0, 2))
 _no_indices: Callable[[], IntArray] = partial(np.array, [], np.int64)
 # For one camera: (weights, residuals in pixels) of each of its pairs.
 MatchWeights = list[tuple[FloatArray, FloatArray]]
-# Weight of a static landmark that never moved, while others move: boxes may contain ten times as much wall as object
-# (choice).
-STATIC_WEIGHT = 0.005
+# Weight of a static landmark that never moved, while others move: where the object has no more matches than the least share
+# by which a camera sees a body, all static ones together weigh as much as the usual mismatches (derived).
+STATIC_WEIGHT = MIN_OUTLIER_RATIO * MISMATCH_PROBABILITY
 # Landmarks with less weight, such as young ones among old, do not support a pose (choice).
 MIN_EVIDENCE_WEIGHT = 0.06
 # An inlier share this large does not occur by chance; at 0.7 another body in the same place is tracked (measured:

@@ -34,8 +34,6 @@ from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
 # After the first frames, a refinement is due once the object has rotated by this since the last one (radians), as less
 # shows little new; at the earliest after `MIN_INTERVAL` frames, at the latest after `MAX_INTERVAL` (choice).
 MIN_INTERVAL, MAX_INTERVAL = 4, 12
-# Minimum number of frames for a refinement that changes poses, as fewer do not determine depths well enough (choice).
-MIN_FRAMES_TO_APPLY = 9
 # The result of work in the background is used so many frames later: at 30 frames per second the time needed on a busy
 # processor (choice).
 RESULT_DELAY = 7
@@ -739,7 +737,7 @@ class JointState:
         last, before = self.last, self.refinement.last
         if self.refinement.pending is not None:
             return False
-        if before is None or last.number - self.frames.first.number <= MIN_FRAMES_TO_APPLY:
+        if before is None or last.number - self.frames.first.number <= options.n_recent_frames + 1:
             return True
         change = compute_pose_change(before.world_from_object, last.world_from_object)
         since = last.number - before.number
