@@ -25,6 +25,7 @@ from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.rig import Camera
 from sylpose.tracking.camera_side.frame import SEARCH_MARGIN, project_outline, rasterize_outline
+from sylpose.tracking.joint_side.joint_state import RETRY_FRAMES
 from sylpose.tracking.reports import CameraMotionReport
 
 # An image, and the object's mask (h, w) in it.
@@ -37,15 +38,12 @@ MIN_UNCHANGED_RATIO = 0.4
 # A rotation is detected if `MIN_INLIER_RATIO` of the corners tested, `MIN_CORNERS` at least, agree on it, spread over such a
 # share of the image (choice), while at most `MIN_OUTLIER_RATIO` of them are static: otherwise the camera sees both.
 MIN_SPREAD = 0.1
-# A nudge has at least this median displacement, pixels, and this many standard deviations (choice).
-NUDGE_PX, MIN_NUDGE_SDS = 2.0, 10.0
+# A nudge has at least this median displacement, pixels (choice).
+NUDGE_PX = 2.0
 # Two rotations are equal within so many pixels at the image center (choice),
 SAME_PX = 0.5
-# or so many standard deviations (chi-squared of three, once in a thousand times).
+# or so many standard deviations, of which a nudge has more (chi-squared of three, once in a thousand times).
 SAME_SDS = float(np.sqrt(chi_squared_bound(3)))
-# After so many consecutive frames of unexplained change, detection restarts as many frames later; with too few corners
-# it restarts after the same pause (choice).
-PAUSE_FRAMES = 10
 
 
 class CameraMotionDetector:
@@ -95,7 +93,7 @@ class CameraMotionDetector:
         if (is_unchanged & self.is_static).sum() >= MIN_UNCHANGED_RATIO * self.is_static.sum():
             self.is_static, self.last_rotation, self.n_changed = is_unchanged, None, 0
             if is_unchanged.sum() < MIN_CORNERS:
-                self.restart(PAUSE_FRAMES)
+                self.restart(RETRY_FRAMES)
             return CameraMotionReport()
         if not self.n_changed:
             # The object's position may become less certain in the next frames, without this camera.
@@ -105,14 +103,14 @@ class CameraMotionDetector:
         self.n_changed += 1
         if rotation is None or not _is_nudge(rotation):
             self.last_rotation = None
-            if self.n_changed > PAUSE_FRAMES:
-                self.restart(PAUSE_FRAMES)
+            if self.n_changed > RETRY_FRAMES:
+                self.restart(RETRY_FRAMES)
             return CameraMotionReport(has_changed=True)
         is_confirmed = self.last_rotation is not None and _is_same(rotation, self.last_rotation, self.camera)
         self.first_frame = self.first_frame if self.last_rotation is not None else index
         self.last_rotation = rotation
-        if self.n_changed > PAUSE_FRAMES and not is_confirmed:
-            self.restart(PAUSE_FRAMES)
+        if self.n_changed > RETRY_FRAMES and not is_confirmed:
+            self.restart(RETRY_FRAMES)
         return CameraMotionReport(
             True, Rotation.from_matrix(rotation.rotation).as_rotvec(), rotation.sd, self.first_frame, is_confirmed
         )
@@ -135,7 +133,7 @@ class CameraMotionDetector:
         self.background = detect_corners(image, None if self.stabilizer is None else self.stabilizer.valid)
         self.is_static = np.ones(len(self.background), bool)
         if len(self.background) < MIN_CORNERS:
-            self.restart(PAUSE_FRAMES)
+            self.restart(RETRY_FRAMES)
 
     def _is_on_object(self, points: FloatArray | None) -> BoolArray:
         """Return which corners (n,) are on the object."""
@@ -152,7 +150,7 @@ def _is_nudge(rotation: CameraRotation) -> bool:
         and rotation.n_inliers >= MIN_INLIER_RATIO * rotation.n_evaluated
         and rotation.n_static <= MIN_OUTLIER_RATIO * rotation.n_evaluated
     )
-    is_significant = _rotation_angle(rotation.rotation) > MIN_NUDGE_SDS * rotation.sd
+    is_significant = _rotation_angle(rotation.rotation) > SAME_SDS * rotation.sd
     return bool(
         is_majority and rotation.spread >= MIN_SPREAD and rotation.displacement_px > NUDGE_PX and is_significant
     )

@@ -51,8 +51,9 @@ MAX_ANCHOR_ROTATION = RING_ANGLES[-1]
 # Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
 # exceeds that divided by it (choice).
 PREPARATION_MARGIN = 1.5
-# Number of frames after which a costly search is repeated: of a camera without tracks, and where the object was
-# relocalized, but not confirmed (choice).
+# Number of frames after which a search is repeated: of a camera without tracks, and where the object was relocalized, but
+# not confirmed. Detection of a camera's motion restarts so many frames after as many of unexplained change, or after too
+# few corners (choice).
 RETRY_FRAMES = 8
 # Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
 MAX_SPARSE_AGE = 2
