@@ -28,6 +28,7 @@ from sylpose.bundle_adjustment.scale_prior import SMALL_ROTATION, bundle_adjust_
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.matrices import enlarge_covariance
+from sylpose.relative_pose.limits import MAX_ROUNDS
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.status import Status
@@ -51,8 +52,6 @@ from sylpose.tracking.reports import NewObservations, quantize_positions
 # If the last refinement is at least so many frames ago, the next one runs in the background: its result is used before
 # another one is due (derived).
 BACKGROUND_INTERVAL = RESULT_DELAY + 1
-# Maximum number of solver iterations: it starts near the solution (choice).
-MAX_ROUNDS = 12
 # Upper limit of landmark numbers (derived).
 MAX_LANDMARK_ID = 2**32
 
