@@ -27,7 +27,6 @@ from sylpose.tracking.camera_side.frame import (
     FrameMatches,
     MatchWeights,
     build_observations,
-    compute_depth_smear,
     compute_full_weight_age,
     compute_inlier_statistics,
     compute_support,
@@ -46,12 +45,6 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # Initial noise level of another start, pixels, the last of the usual one's: the first rounds at large assumed noise may
 # converge to another minimum even from the true pose (derived).
 NARROW_START_PX = SCHEDULE_PX[-1]
-# A landmark's depth counts as a guess after so many observations or fewer, or while it is not known better than
-# `KNOWN_DEPTH_RATIO`: observations of an object at rest add nothing (choice).
-MAX_YOUNG_AGE = 3
-# A depth is known if its standard deviation moves the landmark's image by less than this, pixels (choice). The 2D-3D
-# equation needs as many such landmarks as a surface.
-MAX_DEPTH_SMEAR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +213,7 @@ def _align_landmarks(
     observations, ages = _exchange_observations(executor, problem)
     if not sum(a.counts.sum() for a in ages) >= MIN_MATCHES:
         return None
-    is_depth_guessed = (
-        max(a.oldest for a in ages) <= MAX_YOUNG_AGE or _median_depth_sd(ages) > KNOWN_DEPTH_RATIO * problem.radius
-    )
+    is_depth_guessed = _median_depth_sd(ages) > KNOWN_DEPTH_RATIO * problem.radius
     alignments = executor.align(observations, [(*problem.guess, px) for px in (FIRST_PX, NARROW_START_PX)])
     best, offset = select_hypothesis([candidate for candidate, _ in alignments], *problem.guess)
     pose, found = alignments[best]
@@ -315,11 +306,12 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
     solution, observations, offset = solved
     records = executor.gather(
         [
-            _select_known_depth(own, weights, solution)
+            _select_known_depth(own, weights, problem.radius)
             for own, weights in zip(observations, solution.match_weights, strict=True)
         ],
         KnownDepthMatches(),
     )
+    # The equation needs as many landmarks of known depth as describe a surface.
     cameras, weights = [record.observations for record in records], [record.weights for record in records]
     if sum(int((w > 0).sum()) for w in weights) < MIN_SURFACE_POINTS:
         return solution
@@ -342,13 +334,11 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
     return replace(solution, rotation=R, translation=translation, information=subtract_uncertainty(information, offset))
 
 
-def _select_known_depth(
-    observations: LandmarkMatches, match_weights: MatchWeights, solution: PoseSolution
-) -> KnownDepthMatches:
-    """Select one camera's landmarks of known depth."""
+def _select_known_depth(observations: LandmarkMatches, match_weights: MatchWeights, radius: float) -> KnownDepthMatches:
+    """Select one camera's landmarks of known depth, on an object of this radius."""
     weights = np.concatenate([np.empty(0), *(w for w, _ in match_weights)])
-    smear_px = observations.focal * compute_depth_smear(observations, solution.rotation, solution.translation)
-    return KnownDepthMatches(observations, np.where(smear_px < MAX_DEPTH_SMEAR_PX, weights, 0.0))
+    is_known = np.linalg.norm(observations.depth_error, axis=1) < KNOWN_DEPTH_RATIO * radius
+    return KnownDepthMatches(observations, np.where(is_known, weights, 0.0))
 
 
 SOLVERS: dict[str, Solver] = {
