@@ -32,8 +32,9 @@ from sylpose.relative_pose.match_cost import (
 )
 from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, MIN_MATCHES, Candidate, Stack, apply_step, copy_into
 
-# Cutoff of d: 94 % efficient with Gaussian noise in both directions, where d² is chi-squared with two degrees of
-# freedom (choice); the resulting deficits of the weighted mean square and of the information (derived).
+# Cutoff of d, beyond which a match is an outlier of a motion, or of no motion: 94 % efficient with Gaussian noise in both
+# directions, where d² is chi-squared with two degrees of freedom (choice); the resulting deficits of the weighted mean
+# square and of the information (derived).
 CUTOFF = 5.0
 SHRINKAGE, GAIN = bisquare_noise_response(CUTOFF).shrinkage, bisquare_noise_response(CUTOFF).gain
 # Mean weight of residuals that are uniform up to the cutoff (derived).

@@ -32,6 +32,7 @@ from sylpose.tracking.camera_side.camera import (
     append_new_features,
 )
 from sylpose.tracking.camera_side.frame import (
+    MAJORITY,
     SEARCH_MARGIN,
     SOLVED_RADIUS,
     CameraPairs,
@@ -70,8 +71,8 @@ VELOCITY_ROUNDS = 2
 # Noise at which inliers of a pose count nothing, as a share of the object's radius in the image, and minimum pixels.
 # Features near a wrong pose are spread evenly over the search radius: their rms distance is six tenths of it (derived).
 ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * SAME_POSITION_PX
-# Minimum weight of a camera's features, and minimum number of features for a camera to count (choice).
-MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 0.5, 15
+# Minimum number of features for a camera to count (choice).
+MIN_CAMERA_FEATURES = 15
 # Search radius where the translation is searched for, as a share of the object's radius in the image. A prediction is used
 # while its position is known to within the radius (derived: `JointState.coast`).
 TRANSLATION_RADIUS = 1.0
@@ -377,7 +378,7 @@ def is_weakly_supported(context: Context, state: JointState, candidate: PoseCand
     is_motion_known = state.motion.velocity.n_frames > 0 or candidate.solution.is_static
     features = np.array([a.n_inlier_features if is_motion_known else a.n_moving for a in candidate.agreements])
     noise_weights = compute_noise_weights(context, state, candidate)
-    is_good, is_enough = noise_weights > MIN_GOOD_WEIGHT, features >= MIN_CAMERA_FEATURES
+    is_good, is_enough = noise_weights > MAJORITY, features >= MIN_CAMERA_FEATURES
     n_agreeing, n_seeing = int((is_enough & is_good).sum()), int(is_enough.sum())
     score = (features * noise_weights)[is_good].sum()
     return bool(score < context.options.min_score or n_agreeing < min(2, n_seeing))

@@ -25,6 +25,7 @@ from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, Land
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidence, compare_motions
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
+from sylpose.relative_pose.irls import CUTOFF as OUTLIER_SDS
 from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import is_more_than_chance
@@ -34,8 +35,6 @@ from sylpose.rig import Camera
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
 from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
-# Features displaced by less than this, in standard deviations of the camera's noise, are static (choice).
-STATIC_SIGMAS = 5.0
 # Half length of a landmark's search range, in standard deviations of its depth (chi-squared, once in a thousand times).
 DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
@@ -60,9 +59,9 @@ MIN_EVIDENCE_WEIGHT = 0.06
 # An inlier share this large does not occur by chance; at 0.7 another body in the same place is tracked (measured:
 # tests/tracking/test_disturbed.py) (choice).
 MIN_CERTAIN_INLIER_RATIO = 0.8
-# A landmark has moved with the object if the pose leaves at most this share of its displacement since its first
-# observation unexplained (choice).
-MAX_UNEXPLAINED_RATIO = 0.5
+# More than this share is most: of a landmark's displacement, which has to be explained by the object's motion, and of the
+# weight of features, which noise reduces (choice).
+MAJORITY = 0.5
 
 
 def project_outline(camera: Camera, points: FloatArray, margin_ratio: float) -> Region:
@@ -293,8 +292,8 @@ def select_inliers(pairs: Pairs, weights: Sequence[FloatArray]) -> list[FrameMat
 
 
 def compute_static_px(noise_px: float) -> float:
-    """Return the displacement, pixels, below which features of this noise are static."""
-    return min(STATIC_SIGMAS * max(noise_px, MIN_ERROR_PX), MAX_STATIC_PX)
+    """Return the displacement, pixels, below which features of this noise are static: inliers of no motion."""
+    return min(OUTLIER_SDS * max(noise_px, MIN_ERROR_PX), MAX_STATIC_PX)
 
 
 def compute_keypoint_static_px(noise_px: float) -> float:
@@ -421,7 +420,6 @@ def build_observations(
     """
     index = collect_features(pairs)
     landmarks = Landmarks.concatenate([pair.landmarks for pair in pairs])
-    counts = [pair.earlier.table.observation_counts(pair.earlier.landmark_ids) for pair in pairs]
     rotation, center = rotation_matrix_of(previous.world_from_object), previous.world_from_object.translation
     points, error = landmarks.mean @ rotation.T, landmarks.depth_error @ rotation.T
     outwards = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
@@ -440,20 +438,19 @@ def build_observations(
         center=camera.center - center,
         focal=camera.focal,
     )
-    oldest = max((int(own.max(initial=0)) for own in counts), default=0)
     depth_sd = float(np.median(np.linalg.norm(observations.depth_error, axis=1))) if len(index) else np.nan
-    ages = count_ages(observations.prior_weight, int(is_moving.sum()), oldest, depth_sd)
+    ages = count_ages(observations.prior_weight, int(is_moving.sum()), depth_sd)
     return observations, is_moving, ages
 
 
 # --- ages of landmarks ------------------------------------------------------------------------------------------------
 
 
-def count_ages(frame_counts: FloatArray, n_moving: int = 0, oldest: int = 0, depth_sd: float = np.nan) -> LandmarkAges:
+def count_ages(frame_counts: FloatArray, n_moving: int = 0, depth_sd: float = np.nan) -> LandmarkAges:
     """Build the histogram from each landmark's number of frames (n,)."""
     counts = np.bincount(frame_counts.astype(np.int64))
     values = np.flatnonzero(counts)
-    return LandmarkAges(values.astype(float), counts[values].astype(float), n_moving, oldest, depth_sd)
+    return LandmarkAges(values.astype(float), counts[values].astype(float), n_moving, depth_sd)
 
 
 def expand_ages(ages_by_camera: Sequence[LandmarkAges]) -> FloatArray:
@@ -725,7 +722,7 @@ def find_moved(inliers: Pairs, landmarks: Landmarks, match_weights: MatchWeights
         landmarks, np.concatenate([np.empty((0, 2)), *(pair.pixels_j for pair in inliers)])
     )
     is_unmoved = np.concatenate([np.empty(0, bool), *(pair.is_unmoved for pair in inliers)])
-    moves = (displacement > static_px) & (residual < MAX_UNEXPLAINED_RATIO * displacement) & ~is_unmoved
+    moves = (displacement > static_px) & (residual < MAJORITY * displacement) & ~is_unmoved
     return np.asarray(landmarks.has_moved | moves)
 
 
