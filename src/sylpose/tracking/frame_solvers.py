@@ -27,6 +27,7 @@ from sylpose.tracking.camera_side.frame import (
     FrameMatches,
     MatchWeights,
     build_observations,
+    compute_depth_smear,
     compute_full_weight_age,
     compute_inlier_statistics,
     compute_support,
@@ -45,6 +46,9 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # Initial noise level of another start, pixels, the last of the usual one's: the first rounds at large assumed noise may
 # converge to another minimum even from the true pose (derived).
 NARROW_START_PX = SCHEDULE_PX[-1]
+# A depth is known if its standard deviation moves the landmark's image by less than this, pixels (choice). The 2D-3D
+# equation needs as many such landmarks as a surface.
+MAX_DEPTH_SMEAR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,12 +310,11 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
     solution, observations, offset = solved
     records = executor.gather(
         [
-            _select_known_depth(own, weights, problem.radius)
+            _select_known_depth(own, weights, solution)
             for own, weights in zip(observations, solution.match_weights, strict=True)
         ],
         KnownDepthMatches(),
     )
-    # The equation needs as many landmarks of known depth as describe a surface.
     cameras, weights = [record.observations for record in records], [record.weights for record in records]
     if sum(int((w > 0).sum()) for w in weights) < MIN_SURFACE_POINTS:
         return solution
@@ -334,11 +337,13 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
     return replace(solution, rotation=R, translation=translation, information=subtract_uncertainty(information, offset))
 
 
-def _select_known_depth(observations: LandmarkMatches, match_weights: MatchWeights, radius: float) -> KnownDepthMatches:
-    """Select one camera's landmarks of known depth, on an object of this radius."""
+def _select_known_depth(
+    observations: LandmarkMatches, match_weights: MatchWeights, solution: PoseSolution
+) -> KnownDepthMatches:
+    """Select one camera's landmarks of known depth."""
     weights = np.concatenate([np.empty(0), *(w for w, _ in match_weights)])
-    is_known = np.linalg.norm(observations.depth_error, axis=1) < KNOWN_DEPTH_RATIO * radius
-    return KnownDepthMatches(observations, np.where(is_known, weights, 0.0))
+    smear_px = observations.focal * compute_depth_smear(observations, solution.rotation, solution.translation)
+    return KnownDepthMatches(observations, np.where(smear_px < MAX_DEPTH_SMEAR_PX, weights, 0.0))
 
 
 SOLVERS: dict[str, Solver] = {
