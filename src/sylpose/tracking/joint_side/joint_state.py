@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.bundle_adjustment.bundle import BundleResult
+from sylpose.features.sift import RESPONSE_SCALE
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of, rotvec
@@ -37,9 +38,9 @@ MIN_INTERVAL, MAX_INTERVAL = 4, 12
 # The result of work in the background is used so many frames later: at 30 frames per second the time needed on a busy
 # processor (choice).
 RESULT_DELAY = 7
-# A frame becomes a keyframe when the object has rotated by this much relative to the nearest one, or its distance has
-# changed by this factor, in a camera's view (choice).
-MIN_KEYFRAME_SCALE = 1.2
+# A frame becomes a keyframe when the object has rotated relative to the nearest one (`TrackingOptions`), or its distance in
+# a camera's view has changed by this factor, that between two layers of SIFT's scales (derived).
+MIN_KEYFRAME_SCALE = 2.0 ** (1.0 / RESPONSE_SCALE)
 # One reference is taken from each ring of angles between viewpoints: near ones match well, far ones limit drift
 # (choice).
 RING_ANGLES = np.radians([0.0, 10.0, 18.0, 28.0])
