@@ -38,11 +38,11 @@ MIN_UNCHANGED_RATIO = 0.4
 # A rotation is detected if `MIN_INLIER_RATIO` of the corners tested, `MIN_CORNERS` at least, agree on it, spread over such a
 # share of the image (choice), while at most `MIN_OUTLIER_RATIO` of them are static: otherwise the camera sees both.
 MIN_SPREAD = 0.1
-# A nudge has at least this median displacement, pixels (choice).
-NUDGE_PX = 2.0
+# A nudge has at least this median displacement, pixels, and this many standard deviations (choice).
+NUDGE_PX, MIN_NUDGE_SDS = 2.0, 10.0
 # Two rotations are equal within so many pixels at the image center (choice),
 SAME_PX = 0.5
-# or so many standard deviations, of which a nudge has more (chi-squared of three, once in a thousand times).
+# or so many standard deviations (chi-squared of three, once in a thousand times).
 SAME_SDS = float(np.sqrt(chi_squared_bound(3)))
 
 
@@ -150,7 +150,7 @@ def _is_nudge(rotation: CameraRotation) -> bool:
         and rotation.n_inliers >= MIN_INLIER_RATIO * rotation.n_evaluated
         and rotation.n_static <= MIN_OUTLIER_RATIO * rotation.n_evaluated
     )
-    is_significant = _rotation_angle(rotation.rotation) > SAME_SDS * rotation.sd
+    is_significant = _rotation_angle(rotation.rotation) > MIN_NUDGE_SDS * rotation.sd
     return bool(
         is_majority and rotation.spread >= MIN_SPREAD and rotation.displacement_px > NUDGE_PX and is_significant
     )
