@@ -224,7 +224,8 @@ MAX_MOVED_SQUARE = 200.0
 # scenes of 20 matches are taken for moving ones, at 5 two).
 CHANCE_SDS = 5.0
 # Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
-# to 4 px without a background 2.1 at most in 24 scenes), and the least number of moving matches (choice).
+# to 4 px without a background 2.1 at most in 24 scenes), and the least number of matches of a body that moves, or of inliers
+# by which a camera shows it (choice).
 MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
 # Factors by which the motion of a part may exceed that of all matches (choice).
 MOTION_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0)

@@ -22,6 +22,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.relative_pose.camera_evidence import TREMBLE_SD
+from sylpose.relative_pose.motion_mixture import MIN_MOVING_MATCHES
 from sylpose.relative_pose.observability import SELECTED_PER_UNKNOWN
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
@@ -71,8 +72,6 @@ VELOCITY_ROUNDS = 2
 # Noise at which inliers of a pose count nothing, as a share of the object's radius in the image, and minimum pixels.
 # Features near a wrong pose are spread evenly over the search radius: their rms distance is six tenths of it (derived).
 ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * SAME_POSITION_PX
-# Minimum number of features for a camera to count (choice).
-MIN_CAMERA_FEATURES = 15
 # Search radius where the translation is searched for, as a share of the object's radius in the image. A prediction is used
 # while its position is known to within the radius (derived: `JointState.coast`).
 TRANSLATION_RADIUS = 1.0
@@ -378,7 +377,7 @@ def is_weakly_supported(context: Context, state: JointState, candidate: PoseCand
     is_motion_known = state.motion.velocity.n_frames > 0 or candidate.solution.is_static
     features = np.array([a.n_inlier_features if is_motion_known else a.n_moving for a in candidate.agreements])
     noise_weights = compute_noise_weights(context, state, candidate)
-    is_good, is_enough = noise_weights > MAJORITY, features >= MIN_CAMERA_FEATURES
+    is_good, is_enough = noise_weights > MAJORITY, features >= MIN_MOVING_MATCHES
     n_agreeing, n_seeing = int((is_enough & is_good).sum()), int(is_enough.sum())
     score = (features * noise_weights)[is_good].sum()
     return bool(score < context.options.min_score or n_agreeing < min(2, n_seeing))
