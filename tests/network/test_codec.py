@@ -72,7 +72,7 @@ SIGHTS = LandmarkMatches(
     random_array(3),
     700.0,
 )
-AGES = LandmarkAges(random_array(4), random_array(4), 3, 12, np.nan)
+AGES = LandmarkAges(random_array(4), random_array(4), 3, np.nan)
 EVIDENCE = CameraEvidence(12, 0.3, 0.9, 4.5)
 MODEL = ObjectModel(random_array(3), 0.3, random_array(9, 3), True, False)
 SOLVED = SolvedFrame(

@@ -17,7 +17,7 @@ from sylpose.rig import Camera
 from sylpose.simulate import Actor, arc, make_demo_scene, render_frames
 from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.frame import (
-    MAX_UNEXPLAINED_RATIO,
+    MAJORITY,
     CameraFrame,
     FrameMatches,
     ReobservedFeatures,
@@ -106,7 +106,7 @@ def test_landmark_has_moved_if_it_agrees_with_pose() -> None:
     assert make_reobserved(0.2, 5.0).landmarks.has_moved.sum() == 1
     assert make_reobserved(0.2, 1.0).landmarks.has_moved.sum() == 0
     # A wrong first observation of a static keypoint disagrees by as much as it is displaced.
-    assert make_reobserved(-1.01 * MAX_UNEXPLAINED_RATIO * 5.0, 5.0).landmarks.has_moved.sum() == 0
+    assert make_reobserved(-1.01 * MAJORITY * 5.0, 5.0).landmarks.has_moved.sum() == 0
     np.testing.assert_array_equal(make_reobserved(0.2, 5.0).landmarks.origin, [[600.0, 400.0]])
 
 

@@ -28,9 +28,9 @@ from sylpose.runs.checkpoint_schema import SERIALIZER
 from sylpose.simulate import make_demo_scene
 from sylpose.simulate.textures import make_room_image
 from sylpose.status import FrameStatus
-from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES, CameraMotionDetector
+from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector
 from sylpose.tracking.context import Context, TrackedFrame
-from sylpose.tracking.joint_side.joint_state import JointState, Nudge
+from sylpose.tracking.joint_side.joint_state import RETRY_FRAMES, JointState, Nudge
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.state_machine import add_nudge_faults
 from sylpose.tracking.tracker import Tracker, track
@@ -200,13 +200,13 @@ def test_slow_camera_motion_is_confirmed_at_rest(camera: Camera, monkeypatch: py
 
 def test_detection_restarts_for_continuously_moving_camera(camera: Camera) -> None:
     swings = [
-        add_noise(apply_nudge(render_wall(), camera, 3 + 1.5 * np.sin(1.3 * k)), k) for k in range(PAUSE_FRAMES + 2)
+        add_noise(apply_nudge(render_wall(), camera, 3 + 1.5 * np.sin(1.3 * k)), k) for k in range(RETRY_FRAMES + 2)
     ]
     watch, reported = detect_motion(camera, [render_wall(), *swings])
     assert not any(stance.is_confirmed for stance in reported)
-    assert all(stance.angle for stance in reported[1 : PAUSE_FRAMES + 1])
+    assert all(stance.angle for stance in reported[1 : RETRY_FRAMES + 1])
     assert watch.background is None
-    assert PAUSE_FRAMES - 2 <= watch.pause <= PAUSE_FRAMES
+    assert RETRY_FRAMES - 2 <= watch.pause <= RETRY_FRAMES
 
 
 # --- all cameras

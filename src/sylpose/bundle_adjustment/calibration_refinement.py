@@ -26,8 +26,8 @@ N_CAMERA_PARAMETERS = 6 + N_LENS_PARAMETERS
 # fraction of the focal length; pixels; and of the radial coefficient (choice: from reports of users of Anipose and
 # Caliscope).
 ROTATION_SD_DEG, TRANSLATION_SD_RATIO, FOCAL_SD_RATIO, PRINCIPAL_POINT_SD_PX, RADIAL_SD = 0.5, 0.003, 0.01, 5.0, 0.02
-# The errors of a lens are scaled by the calibration's reported reprojection error: these are typical for one of so many
-# pixels; the scale has a lower limit. That error contains no information on the cameras' poses (choice).
+# Typical reprojection error of a calibration, pixels. The errors of a lens are scaled by the reported one relative to it;
+# the scale has a lower limit. That error contains no information on the cameras' poses (choice).
 TYPICAL_ERROR_PX, MIN_ERROR_RATIO = 1.0, 0.2
 # Rotation and translation of a moved camera, one standard deviation (choice).
 MOVED_ROTATION_SD_DEG, MOVED_TRANSLATION_RATIO = 5.0, 0.03

@@ -279,10 +279,6 @@ class LandmarkTable:
         """Return the landmarks with the numbers (n,)."""
         return self._rows.subset(self._find_rows(numbers))
 
-    def observation_counts(self, numbers: IntArray) -> IntArray:
-        """Return (n,) the number of frames in which each was observed."""
-        return np.asarray(self._rows.n_observations[self._find_rows(numbers)])
-
     def update(self, landmarks: Landmarks) -> IntArray:
         """Store landmarks (n): those with a number are replaced, the others are added. The last of equal numbers wins.
 

@@ -243,8 +243,12 @@ def run_constrained_irls(
 
 @leaf
 def make_tolerance(stack: Stack, t: int, fit: IrlsFit, mass: float, cutoff: float) -> Tolerance:
-    """Return the noise model of term t's matches, whose weights add up to `mass`."""
-    shared_residual_depth = fit.residual_depth[t] * np.sqrt(max(1.0, mass / MIN_MATCHES))
+    """Return the noise model of term t's matches, whose weights add up to `mass`.
+
+    Neighbors have similar residual depths. In this respect only as many matches of a term are independent as a depth model
+    has coefficients: what these leave varies about as fast over the image.
+    """
+    shared_residual_depth = fit.residual_depth[t] * np.sqrt(max(1.0, mass / DEPTH_MODEL_SIZE))
     return Tolerance((fit.sigma_px[t] / stack.focal[t]) ** 2, fit.residual_depth[t], shared_residual_depth, cutoff)
 
 

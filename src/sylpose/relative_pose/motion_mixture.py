@@ -38,7 +38,6 @@ from sylpose.relative_pose.limits import (
     MAX_SAMPLES,
     MIN_ERROR_PX,
     MISMATCH_PROBABILITY,
-    ROUGHLY_CONVERGED_DECREASE,
     SIGMA_FLOOR_PX,
 )
 from sylpose.relative_pose.match_cost import (
@@ -63,8 +62,9 @@ MIN_CORRELATION_SIGMAS, MIN_CORRELATION = 5.0, 0.15
 # two bodies is more frequent, and this is sufficient (measured: of 7,508 right answers 13 that are weakly observed are
 # beyond, of 82 wrong ones 16).
 MIN_SIGMAS_UNCERTAIN = 2.5
-# One motion's noise is at least this share of the other's, or of the static matches' (choice).
-MIN_SIGMA_RATIO = 0.9
+# Largest change of an assignment at convergence; one motion's noise is at least this share of the other's, or of the static
+# matches' (choice).
+CONVERGED_CHANGE, MIN_SIGMA_RATIO = 0.02, 0.9
 # Largest noise of static matches, pixels: their rms displacement, twice that, is at most `MAX_STATIC_PX` (derived).
 MAX_STATIC_SIGMA_PX = 0.5 * MAX_STATIC_PX
 
@@ -211,7 +211,7 @@ def fit_motion_mixture(
             min_sigma_px = MIN_SIGMA_RATIO * float(np.median(fits[1 - k].sigma_px))
             done, decreases[k], _ = run_irls(stack, probabilities[k], fits[k], min_sigma_px)
             iterations += done
-        if np.abs(probabilities - previous).max() < ROUGHLY_CONVERGED_DECREASE or not max(decreases) < np.inf:
+        if np.abs(probabilities - previous).max() < CONVERGED_CHANGE or not max(decreases) < np.inf:
             break
     density = shares[0] * compute_motion_density(stack, fits[0]) + shares[1] * compute_motion_density(stack, fits[1])
     return MotionMixture(fits, probabilities, compute_cost(stack, all_usable, density), max(decreases), iterations)
@@ -224,7 +224,8 @@ MIN_MOVED_SQUARE, CHANCE_SHARE = 9.2, 0.01
 # instead of without motion, in 25 of 25 scenes).
 MAX_MOVED_SQUARE = 200.0
 # Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
-# to 4 px without a background 2.1 at most in 24 scenes), and the least number of moving matches (choice).
+# to 4 px without a background 2.1 at most in 24 scenes), and the least number of matches of a body that moves, or of inliers
+# by which a camera shows it (choice).
 MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
 # Factors by which the motion of a part may exceed that of all matches (choice).
 MOTION_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0)
@@ -508,7 +509,7 @@ def _fit_mixture(
         # Otherwise a few accidental matches, nearly without noise, would become the motion.
         done, decrease, _ = run_irls(stack, moving_probability, fit, MIN_SIGMA_RATIO * sigma)
         iterations += done
-        if change < ROUGHLY_CONVERGED_DECREASE or not decrease < np.inf:
+        if change < CONVERGED_CHANGE or not decrease < np.inf:
             break
     share /= 1.0 - MISMATCH_PROBABILITY
     density = share * _compute_static_density(squared_px, sigma) + (1.0 - share) * compute_motion_density(stack, fit)

@@ -47,8 +47,9 @@ CameraMatches = tuple[FloatArray, FloatArray]
 # Those of each camera of the rig, in its order.
 FramePair = Sequence[CameraMatches]
 
-# All orders of up to so many cameras are tried; of more, pairwise exchanges and cyclic shifts (choice: 23 orders).
-MAX_PERMUTED = 4
+# Number of cameras up to which all combinations are tried: orders, 23, of more only pairwise exchanges and cyclic shifts;
+# and pairs of those that see two bodies, any one of which may suffice (choice).
+MAX_COMBINED = 4
 # A hypothesis explains a contradiction if it reduces the F ratio to at most this value (choice: right hypotheses have at
 # most 1.4, others at least 3; docs/calibrating.md).
 MAX_AGREEING = 2.0
@@ -160,7 +161,7 @@ def list_hypotheses(rig: Rig) -> Iterator[Hypothesis]:
 def _list_orders(n: int) -> Iterator[tuple[int, ...]]:
     """Yield the orders of n cameras that are tried."""
     in_order = tuple(range(n))
-    orders = set(permutations(in_order)) if n <= MAX_PERMUTED else {in_order[k:] + in_order[:k] for k in in_order}
+    orders = set(permutations(in_order)) if n <= MAX_COMBINED else {in_order[k:] + in_order[:k] for k in in_order}
     for i, j in combinations(in_order, 2):
         order = [*in_order]
         order[i], order[j] = j, i

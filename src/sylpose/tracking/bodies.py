@@ -22,6 +22,7 @@ import numpy as np
 from sylpose.features.sift import Features, match_features, reduce_image
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.methods import METHODS
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
 from sylpose.relative_pose.camera_evidence import TREMBLE_SD, measure_distances, pool_f_ratios
@@ -32,7 +33,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
-    REGION_MARGIN,
+    SEARCH_MARGIN,
     CameraPairs,
     FrameMatches,
     Region,
@@ -43,6 +44,7 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Candidate, Context, Frame, LocalExecutor, is_rival
 from sylpose.tracking.first_motion import (
+    RAYLEIGH_MEDIAN,
     FirstMotion,
     estimate_first_motion,
     estimate_jitter,
@@ -68,9 +70,9 @@ MIN_LINK_RATIO = 0.2
 # or if their centers are nearer to each other than this, radii of the smaller one (derived: the side that is visible
 # changes, and is at most a radius away).
 MAX_DISTANCE_RADII = 1.0
-# Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
-# evenly over a disk the farthest is at 1.4).
-MAX_DISTANCE_RATIO = 2.5
+# Features farther from their median position than this, in median distances, are mismatches: once in a thousand times one of
+# normally distributed features is farther (derived).
+MAX_DISTANCE_RATIO = float(np.sqrt(chi_squared_bound(2))) / RAYLEIGH_MEDIAN
 # A camera's matches are mismatches unless most of them have common affine epipolar lines, within this share of the
 # image's diagonal (choice).
 RIGID_TOLERANCE = 0.005
@@ -550,4 +552,4 @@ def _draw_outline(pixels: FloatArray) -> Region:
     if not len(pixels):
         return None
     distances = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
-    return widen_outline(pixels[distances <= MAX_DISTANCE_RATIO * np.median(distances)], REGION_MARGIN)
+    return widen_outline(pixels[distances <= MAX_DISTANCE_RATIO * np.median(distances)], SEARCH_MARGIN)

@@ -29,9 +29,9 @@ from sylpose.relative_pose.camera_evidence import (
     measure_distances,
     measure_excess,
 )
-from sylpose.relative_pose.limits import MIN_ERROR_PX
-from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
+from sylpose.relative_pose.limits import MIN_ERROR_PX, MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import classify_observability
+from sylpose.relative_pose.rig_hypotheses import MAX_COMBINED
 from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.solver import fit_terms, fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
@@ -77,8 +77,6 @@ MAX_CENTER_MOTION_RATIO = 0.15
 # Matches of one body have common affine epipolar lines, within so many pixels (choice: sensitivity in
 # docs/history/benchmarks.md#trust).
 MAX_GROUP_DISTANCE_PX = 0.5
-# The groups of so many cameras, those that see most of both bodies, are paired (choice: any two suffice).
-MAX_PAIRED_TERMS = 4
 
 
 # Reason for an ambiguous object in boxes.
@@ -287,7 +285,8 @@ def _separate_motions(
     """Return the larger one of two motions that a fit to their matches mixes; None if they cannot be separated.
 
     Each camera alone sees two groups of matches, of one body each. Which groups of two cameras belong to one body is not
-    known: those whose two motions explain all matches best. If the calibration is wrong, a camera has one group.
+    known: those whose two motions explain all matches best, of the cameras that see most of both bodies. If the calibration
+    is wrong, a camera has one group.
     """
     groups = [_find_groups(term, rng) for term in data]
     n_both = np.array([min(a.sum(), b.sum()) for a, b in groups])
@@ -295,7 +294,7 @@ def _separate_motions(
     is_seeing_both = n_both >= min_both
     if is_seeing_both.sum() < min(2, len(data)):
         return None
-    chosen = np.argsort(-(n_both * is_seeing_both))[: min(is_seeing_both.sum(), MAX_PAIRED_TERMS)].tolist()
+    chosen = np.argsort(-(n_both * is_seeing_both))[: min(is_seeing_both.sum(), MAX_COMBINED)].tolist()
 
     def fit_two(first: Sequence[BoolArray], second: Sequence[BoolArray]) -> tuple[Fit, Fit] | None:
         fits = list[Fit]()

@@ -46,9 +46,6 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # Initial noise level of another start, pixels, the last of the usual one's: the first rounds at large assumed noise may
 # converge to another minimum even from the true pose (derived).
 NARROW_START_PX = SCHEDULE_PX[-1]
-# A landmark's depth counts as a guess after so many observations or fewer, or while it is not known better than
-# `KNOWN_DEPTH_RATIO`: observations of an object at rest add nothing (choice).
-MAX_YOUNG_AGE = 3
 # A depth is known if its standard deviation moves the landmark's image by less than this, pixels (choice). The 2D-3D
 # equation needs as many such landmarks as a surface.
 MAX_DEPTH_SMEAR_PX = 1.0
@@ -220,9 +217,7 @@ def _align_landmarks(
     observations, ages = _exchange_observations(executor, problem)
     if not sum(a.counts.sum() for a in ages) >= MIN_MATCHES:
         return None
-    is_depth_guessed = (
-        max(a.oldest for a in ages) <= MAX_YOUNG_AGE or _median_depth_sd(ages) > KNOWN_DEPTH_RATIO * problem.radius
-    )
+    is_depth_guessed = _median_depth_sd(ages) > KNOWN_DEPTH_RATIO * problem.radius
     alignments = executor.align(observations, [(*problem.guess, px) for px in (FIRST_PX, NARROW_START_PX)])
     best, offset = select_hypothesis([candidate for candidate, _ in alignments], *problem.guess)
     pose, found = alignments[best]

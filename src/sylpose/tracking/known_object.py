@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.bundle_adjustment.calibration_refinement import TYPICAL_ERROR_PX
 from sylpose.display import Printable
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray, IntArray
@@ -27,6 +28,7 @@ from sylpose.geometry.matrices import rotation_matrix_of
 from sylpose.geometry.validation import check_finite, check_number, check_type
 from sylpose.input_limits import to_one_line
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
+from sylpose.matches import MAX_STATIC_PX
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.rig import MAX_LENGTH, Rig, check_single_pose
@@ -49,15 +51,6 @@ from sylpose.units import INITIAL_DISTANCES
 MIN_KEYFRAMES = 2
 # Maximum length of a frame's description, characters (choice).
 MAX_DESCRIPTION_CHARS = 200
-# A camera is unchanged if the median reprojection error of its landmarks is at most this, pixels: after a new
-# calibration it is one or two, after moving a camera by hand tens (choice).
-SAME_RIG_PX = 5.0
-# Number of keyframes reserved for the new recording (choice).
-N_RESERVED_KEYFRAMES = 30
-# Factor by which the spacing of views grows while there are too many (choice).
-SPACING_FACTOR = 1.3
-# Assumed systematic image error of each of two calibrations, pixels, as no data determines it (choice).
-CALIBRATION_ERROR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,13 +400,14 @@ def _align_world(
     """
     names = [name for name in rig.names if name in known._cameras]
     candidates = [RigidTransform.identity()]
+    # Landmarks' median errors are one or two pixels after a new calibration, tens after moving a camera by hand.
     candidates += [rig[name].camera_from_world.inv() * known.rig[name].camera_from_world for name in names]
     found = []
     for new_from_world in candidates:
         keyframes = tuple(transform_frame(frame, new_from_world) for frame in known._keyframes)
         errors_px = _compute_reprojection_errors(known, rig, keyframes, names)
         medians = _compute_median_errors(errors_px)
-        unchanged = tuple(name for name in names if medians[name] <= SAME_RIG_PX)
+        unchanged = tuple(name for name in names if medians[name] <= MAX_STATIC_PX)
         found.append(((-len(unchanged), sum(min(px, 1e6) for px in medians.values())), keyframes, unchanged, errors_px))
     # Keep the world frame unless another one is clearly better, as aligning one recalibrated camera alone gains
     # nothing.
@@ -528,7 +522,8 @@ def transfer_keyframes(
     Returns:
         keyframes, each of one camera of the rig; by camera name, its landmarks in them.
     """
-    max_views = max((options.max_keyframes - N_RESERVED_KEYFRAMES) // len(rig), MIN_MATCHES)
+    # The new recording needs as many keyframes as are refined jointly.
+    max_views = max((options.max_keyframes - options.max_window_frames) // len(rig), MIN_MATCHES)
     views = _select_views(known, max_views, options.min_keyframe_rotation)
     all_landmarks, first_ids = _merge_landmarks(known)
     keyframes = list[SolvedFrame]()
@@ -574,7 +569,8 @@ def _select_views(known: KnownObject, max_views: int, min_angle: float) -> list[
                 chosen.append(view)
         if len(chosen) <= max_views:
             return chosen
-        min_angle *= SPACING_FACTOR
+        # The number of views at some distance from each other on a sphere decreases with its square.
+        min_angle *= np.sqrt(len(chosen) / max_views)
 
 
 def _merge_landmarks(known: KnownObject) -> tuple[Landmarks, dict[str, int]]:
@@ -599,13 +595,13 @@ def transform_frame(frame: SolvedFrame, new_from_world: RigidTransform) -> Solve
 def estimate_calibration_sd(known: KnownObject, rig: Rig) -> float:
     """Return the standard deviation of an object's position between two rigs.
 
-    Both calibrations are assumed to have the usual accuracy. The result is in length units.
+    Both calibrations are assumed to have the usual image error, as no data determines it. The result is in length units.
     """
     positions = np.array([keyframe.world_from_object.translation for keyframe in known._keyframes])
     distance = float(np.median([np.linalg.norm(positions - camera.center, axis=1) for camera in known.rig]))
     # Mean over cameras with independent errors.
     variances = [
-        sum((CALIBRATION_ERROR_PX * distance / camera.focal) ** 2 for camera in cameras) / len(cameras) ** 2
+        sum((TYPICAL_ERROR_PX * distance / camera.focal) ** 2 for camera in cameras) / len(cameras) ** 2
         for cameras in (known.rig, rig)
     ]
     return float(np.sqrt(sum(variances)))

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.bundle_adjustment.camera_parameters import MEAN_DEPTH_RADII
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import enlarge_covariance, invert_information
@@ -42,10 +43,6 @@ from sylpose.tracking.pose_search import PoseCandidate
 from sylpose.tracking.reports import Agreements, quantize_positions
 from sylpose.tracking.window import refine_window
 
-# A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
-# assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
-CONVEX_BULGE_RATIO = 0.5
-
 
 def accept_first_frame(
     context: Context, state: JointState, frame: Frame, around: Sequence[Features], center: FloatArray
@@ -66,7 +63,9 @@ def accept_first_frame(
     is_visible = np.array(context.executor.gather([len(found) > 0 for found in frame.features], False))
     viewpoints = compute_viewpoints(context.rig, pose)
     first = SolvedFrame(frame.number, frame.time, frame.time_offsets, pose, np.zeros((6, 6)), viewpoints, is_visible)
-    bulge = CONVEX_BULGE_RATIO if model.is_bounded and n == 1 else 0.0
+    # A single camera cannot distinguish a rotation from its mirror image, concave from convex: an object in a box is
+    # assumed convex.
+    bulge = MEAN_DEPTH_RADII if model.is_bounded and n == 1 else 0.0
     for camera, current, background in zip(context.cameras, frame.cameras, around, strict=True):
         camera.initialize(first, current, background, frame.images)
         camera.update_landmarks(current, camera.camera, pose, ReobservedFeatures.empty(), model, bulge)

@@ -48,7 +48,7 @@ class TrackingOptions:
         max_keyframes: number of keyframes.
         min_keyframe_rotation: least rotation between the viewpoints of keyframes, radians.
         max_reference_keyframes: number of keyframes per camera that all features of a frame are matched with.
-        n_recent_frames: number of recent frames that are refined with the keyframes.
+        n_recent_frames: number of recent frames that are refined with the keyframes; poses change once more are known.
         min_refinement_rotation: rotation since the last refinement after which the next one is due early, radians.
         max_window_frames: number of frames refined jointly while tracking.
         max_window_landmarks: number of landmarks per camera refined jointly while tracking.

@@ -17,10 +17,12 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.features.sift import SAME_POSITION_PX
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.relative_pose.camera_evidence import TREMBLE_SD
+from sylpose.relative_pose.motion_mixture import MIN_MOVING_MATCHES
 from sylpose.relative_pose.observability import SELECTED_PER_UNKNOWN
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
@@ -31,6 +33,9 @@ from sylpose.tracking.camera_side.camera import (
     append_new_features,
 )
 from sylpose.tracking.camera_side.frame import (
+    MAJORITY,
+    SEARCH_MARGIN,
+    SOLVED_RADIUS,
     CameraPairs,
     FrameMatches,
     Pairs,
@@ -54,28 +59,21 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.reports import Agreements, PoseAgreement, RelocalizationMatches, TrackingReport
 
-# An object that rotates by more than this per frame, radians, shows another side each time (measured:
-# benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
-FAST_ROTATION = np.radians(10.0)
-# A pose must agree with the one that its solution started from, by relocalization, within this rotation and share of the
-# radius (choice).
-MAX_START_ROTATION, MAX_START_TRANSLATION = 0.17, 0.3
+# An object that rotates by more than this, radians, shows another side: per frame it is fast, and a solved pose that is
+# farther from the one that its solution started from is another one (measured: benchmarks/loops.py, where more features at
+# 7.6 degrees per frame were no gain) (choice).
+OTHER_SIDE_ROTATION = np.radians(10.0)
+# Places nearer to each other than this share of the object's radius are the same: of a pose and the one that its solution
+# started from, and of features, whose depths have to be known to it (choice).
+SAME_PLACE_RATIO = 0.3
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
 # (choice).
 VELOCITY_ROUNDS = 2
-# Search radius around a landmark's projection at a solved pose, as a share of the object's radius in the image; minimum,
-# pixels (choice).
-SOLVED_RADIUS, MIN_RADIUS_PX = 0.03, 3.0
 # Noise at which inliers of a pose count nothing, as a share of the object's radius in the image, and minimum pixels.
 # Features near a wrong pose are spread evenly over the search radius: their rms distance is six tenths of it (derived).
-ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * MIN_RADIUS_PX
-# Minimum weight of a camera's features, and minimum number of features for a camera to count (choice).
-MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 0.5, 15
-# Search radius around a landmark's projection at a predicted pose, as a share of the object's radius in the image
-# (choice).
-PREDICTED_RADIUS = 0.15
-# The same where the translation is searched for. A prediction is used while its position is known to within the radius
-# (derived: `JointState.coast`).
+ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * SAME_POSITION_PX
+# Search radius where the translation is searched for, as a share of the object's radius in the image. A prediction is used
+# while its position is known to within the radius (derived: `JointState.coast`).
 TRANSLATION_RADIUS = 1.0
 # Number of translations compared, each of two matches: if a tenth of the matches are true, the probability that no sample
 # has two of them is 0.7 % (derived).
@@ -197,14 +195,14 @@ def is_fast(state: JointState, predicted_pose: RigidTransform) -> bool:
         predicted_pose: predicted world_from_object.
     """
     angle = np.linalg.norm(relative_rotvec(state.last.world_from_object, predicted_pose))
-    return bool(not state.motion.velocity.n_frames or state.motion.n_missed > 0 or angle > FAST_ROTATION)
+    return bool(not state.motion.velocity.n_frames or state.motion.n_missed > 0 or angle > OTHER_SIDE_ROTATION)
 
 
 def is_jumping(state: JointState) -> bool:
     """Return whether the object rotates by more than KLT can track per frame, or whether its motion is unknown."""
     velocity = state.motion.velocity
     is_known = bool(velocity.change_variance.any())
-    return not is_known or bool(np.linalg.norm(velocity.twist[:3]) * velocity.interval > FAST_ROTATION)
+    return not is_known or bool(np.linalg.norm(velocity.twist[:3]) * velocity.interval > OTHER_SIDE_ROTATION)
 
 
 def detect_in_regions(context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform) -> Frame:
@@ -364,7 +362,7 @@ def is_scattered(context: Context, state: JointState, candidate: PoseCandidate) 
     """
     noise = np.nan_to_num(np.array([a.noise_px for a in candidate.agreements]), nan=np.inf)
     # The noise at which inliers count nothing, for the larger search radius.
-    chance_ratio = ZERO_WEIGHT_NOISE_RATIO / SOLVED_RADIUS * PREDICTED_RADIUS
+    chance_ratio = ZERO_WEIGHT_NOISE_RATIO / SOLVED_RADIUS * SEARCH_MARGIN
     is_better = noise < chance_ratio * np.array(context.object_radius_px(state, candidate.pose))
     features = np.array([a.n_inlier_features for a in candidate.agreements])
     return bool(features[is_better].sum() < MIN_MATCHES)
@@ -379,7 +377,7 @@ def is_weakly_supported(context: Context, state: JointState, candidate: PoseCand
     is_motion_known = state.motion.velocity.n_frames > 0 or candidate.solution.is_static
     features = np.array([a.n_inlier_features if is_motion_known else a.n_moving for a in candidate.agreements])
     noise_weights = compute_noise_weights(context, state, candidate)
-    is_good, is_enough = noise_weights > MIN_GOOD_WEIGHT, features >= MIN_CAMERA_FEATURES
+    is_good, is_enough = noise_weights > MAJORITY, features >= MIN_MOVING_MATCHES
     n_agreeing, n_seeing = int((is_enough & is_good).sum()), int(is_enough.sum())
     score = (features * noise_weights)[is_good].sum()
     return bool(score < context.options.min_score or n_agreeing < min(2, n_seeing))
@@ -389,8 +387,8 @@ def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransf
     """Return whether a solved pose is close to the pose it started from, e.g. by relocalization."""
     difference = candidate.pose * pose.inv()
     distance = np.linalg.norm(difference.apply(pose.translation) - pose.translation)
-    is_far = distance > MAX_START_TRANSLATION * state.object.radius
-    return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
+    is_far = distance > SAME_PLACE_RATIO * state.object.radius
+    return bool(not is_far and difference.rotation.magnitude() <= OTHER_SIDE_ROTATION)
 
 
 # --- guided matching --------------------------------------------------------------------------------------------------
@@ -439,7 +437,7 @@ def _search_by_guided_matching(
     solve_near = partial(_solve_near_pose, context, young, frame, predicted_pose)
     candidates, is_predicted = [solve_pose(context, state, frame, pairs, predicted_pose)], matched_pose is not None
     if is_predicted or state.motion.velocity.n_frames:
-        is_predicted, near = True, solve_near(predicted_pose, PREDICTED_RADIUS)
+        is_predicted, near = True, solve_near(predicted_pose, SEARCH_MARGIN)
         candidates += [near] if near is not None and is_near_start(state, near, predicted_pose) else []
     best = _select_candidate(context, state, candidates, solve_near)
     # Where the cameras contradict each other, features of a body that has come to lie on the object may be landmarks.
@@ -489,7 +487,7 @@ def _find_translated_pose(
     gathered = context.executor.gather(matches, RelocalizationMatches())
     translation = find_translation(context.rig, gathered, predicted_pose, state.object.radius, context.seed)
     pose = RigidTransform.from_translation(translation) * predicted_pose
-    areas = _make_search_areas(context, state, pose, PREDICTED_RADIUS)
+    areas = _make_search_areas(context, state, pose, SEARCH_MARGIN)
     return pose, context.executor.run(_select_in_area, context.cameras, pairs, areas)
 
 
@@ -520,7 +518,7 @@ def find_translation(
     Args:
         matches: per camera.
         pose: world_from_object; its rotation is kept.
-        radius: of the object: matches agree within `PREDICTED_RADIUS` of it, translations are less than it.
+        radius: of the object: matches agree within `SEARCH_MARGIN` of it, translations are less than it.
         seed: of the sampling.
     """
     lines = [
@@ -544,7 +542,7 @@ def find_translation(
     sampled = np.concatenate([np.zeros((1, 3)), sampled[np.linalg.norm(sampled, axis=1) < radius]])
     outer = np.einsum("mi,mj->mij", sampled, sampled).reshape(-1, 9)
     squared = outer @ across.reshape(-1, 9).T - 2.0 * sampled @ nearest.T + (nearest**2).sum(axis=1)
-    votes = np.fmax(1.0 - squared / (PREDICTED_RADIUS * radius) ** 2, 0.0).sum(axis=1)
+    votes = np.fmax(1.0 - squared / (SEARCH_MARGIN * radius) ** 2, 0.0).sum(axis=1)
     return np.asarray(sampled[np.argmax(votes)])
 
 
@@ -580,7 +578,7 @@ def _make_search_areas(
 ) -> list[SearchArea]:
     """Return per camera, local: the search area, by its share of the object's radius in the image."""
     radii = context.object_radius_px(state, pose)
-    return [SearchArea(pose, max(radius_ratio * radii[c], MIN_RADIUS_PX)) for c in context.executor.local]
+    return [SearchArea(pose, max(radius_ratio * radii[c], SAME_POSITION_PX)) for c in context.executor.local]
 
 
 def _solve_near_pose(

@@ -37,6 +37,7 @@ from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.joint_side.joint_state import (
     RETRY_FRAMES,
+    RING_ANGLES,
     JointState,
     SolvedFrame,
     compute_viewpoints,
@@ -44,7 +45,7 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import (
-    MAX_START_TRANSLATION,
+    SAME_PLACE_RATIO,
     PoseCandidate,
     SearchResult,
     detect_in_regions,
@@ -59,13 +60,11 @@ from sylpose.tracking.pose_search import (
 )
 from sylpose.tracking.reports import RelocalizationMatches
 
-# Number of keyframes compared per camera and frame: so many nearest to its last viewpoint, and as many others from all
-# sides in rotation (choice).
-N_KEYFRAMES = 3
+# Number of keyframes compared per camera and frame: so many nearest to its last viewpoint, as a tracked frame is matched
+# with, and as many others from all sides in rotation (derived).
+N_KEYFRAMES = len(RING_ANGLES) - 1
 # Successive multiples of it, modulo 1, are spread evenly (derived).
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
-# Largest depth standard deviation of a relocalized landmark, as a share of the object's radius (choice).
-MAX_DEPTH_SD_RATIO = 0.3
 # Features match others elsewhere on the object if the ratio of descriptor distances is below this one, where few do so by
 # chance; largest ratio of their number to that of those that match themselves (measured: 0.08 to 1 where sides look alike,
 # up to 0.043 of 20 other objects) (choice).
@@ -262,7 +261,7 @@ def match_keyframes(
 
 def _select_located(keyframe: CameraFrame, radius: float) -> tuple[Features, FloatArray]:
     """Select the features of a camera's keyframe whose depth is known; return them and their places (n, 3)."""
-    is_located = (keyframe.landmarks.depth_sd < MAX_DEPTH_SD_RATIO * radius) & ~keyframe.background
+    is_located = (keyframe.landmarks.depth_sd < SAME_PLACE_RATIO * radius) & ~keyframe.background
     return keyframe.features.subset(is_located), keyframe.landmarks.mean[is_located]
 
 
@@ -388,7 +387,7 @@ def _count_alike(
     for other in (k for k in others if k.number != keyframe.number):
         other_features, other_places = _select_located(camera.frames[other.number], radius)
         i, j = match_features(features, other_features, ALIKE_DESCRIPTOR_RATIO).T
-        is_far = np.linalg.norm(places[i] - other_places[j], axis=1) > MAX_START_TRANSLATION * radius
+        is_far = np.linalg.norm(places[i] - other_places[j], axis=1) > SAME_PLACE_RATIO * radius
         is_same[i[~is_far]] = True
         is_elsewhere[i[is_far]] = True
     return int(is_same.sum()), int(is_elsewhere.sum())

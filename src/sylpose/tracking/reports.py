@@ -111,14 +111,12 @@ class LandmarkAges:
         values: (k,) numbers of frames.
         counts: (k,) numbers of landmarks observed in so many frames.
         n_moving: number of landmarks that move or have moved.
-        oldest: largest value over all landmarks of the reference frames.
         depth_sd: median standard deviation of their depth, length units; NaN without any.
     """
 
     values: FloatArray = field(default_factory=_no_numbers)
     counts: FloatArray = field(default_factory=_no_numbers)
     n_moving: int = 0
-    oldest: int = 0
     depth_sd: float = np.nan
 
 

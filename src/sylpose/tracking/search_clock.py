@@ -24,8 +24,8 @@ INTERVAL_QUANTILE = 0.25
 # A search is not worth doing on fewer than this share of its pixels (choice).
 MIN_SHARE = 0.25
 # Where a search would make even a punctual frame late, its duration is forgotten at this rate per frame, as the machine
-# may have been busy: it is tried again after a second or two (choice).
-FORGETTING = 0.98
+# may have been busy, as over `N_RECENT` frames (derived).
+FORGETTING = 1.0 - 1.0 / N_RECENT
 
 
 class SearchClock:

@@ -17,10 +17,9 @@ import numpy as np
 
 from sylpose.frames import FrameSet
 from sylpose.tracking.anchor_preparation import begin_preparation, can_prepare, join_anchor
-from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame
 from sylpose.tracking.initialization import BufferedFrame, initialize_tracking
-from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, JointState, Nudge
+from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, RETRY_FRAMES, JointState, Nudge
 from sylpose.tracking.map_update import accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import (
     detect_in_regions,
@@ -123,7 +122,7 @@ def compensate_camera_motion(context: Context, state: JointState, images: FrameS
     n_changed, n = sum(report.has_changed for report in reports), len(context.rig)
     if rotated and (n_changed > max(n // 2, 1) or (n == 1 and center is None)):
         for camera in moving:
-            camera.motion_detector.restart(PAUSE_FRAMES)
+            camera.motion_detector.restart(RETRY_FRAMES)
         rotated, moving = [], []
     for camera in moving:
         if reports[camera.index].is_confirmed:

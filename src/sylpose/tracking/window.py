@@ -28,13 +28,13 @@ from sylpose.bundle_adjustment.scale_prior import SMALL_ROTATION, bundle_adjust_
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.matrices import enlarge_covariance
+from sylpose.relative_pose.limits import MAX_ROUNDS
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import (
-    MIN_FRAMES_TO_APPLY,
     RESULT_DELAY,
     JointState,
     PendingRefinement,
@@ -46,17 +46,12 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.options import TrackingOptions
-from sylpose.tracking.pose_search import MAX_START_TRANSLATION
+from sylpose.tracking.pose_search import OTHER_SIDE_ROTATION, SAME_PLACE_RATIO
 from sylpose.tracking.reports import NewObservations, quantize_positions
 
 # If the last refinement is at least so many frames ago, the next one runs in the background: its result is used before
 # another one is due (derived).
 BACKGROUND_INTERVAL = RESULT_DELAY + 1
-# A refinement is valid if it changes the last pose by less than this rotation, radians, and by less than
-# `MAX_START_TRANSLATION` (choice).
-MAX_ROTATION_CHANGE = 0.1
-# Maximum number of solver iterations: it starts near the solution (choice).
-MAX_ROUNDS = 12
 # Upper limit of landmark numbers (derived).
 MAX_LANDMARK_ID = 2**32
 
@@ -109,10 +104,11 @@ def apply_refinement(context: Context, state: JointState) -> JointState:
     last, refined_to = frames[at], bundled.world_from_object[at]
     change = compute_pose_change(last.world_from_object, refined_to)
     is_near = (
-        np.linalg.norm(change[:3]) < MAX_ROTATION_CHANGE
-        and np.linalg.norm(change[3:]) < MAX_START_TRANSLATION * state.object.radius
+        np.linalg.norm(change[:3]) < OTHER_SIDE_ROTATION
+        and np.linalg.norm(change[3:]) < SAME_PLACE_RATIO * state.object.radius
     )
-    is_settled = len(frames) >= MIN_FRAMES_TO_APPLY and bundled.status is Status.OK and is_near
+    # Fewer than the recent frames and the first one do not determine depths well enough.
+    is_settled = len(frames) > context.options.n_recent_frames and bundled.status is Status.OK and is_near
     if is_settled and _has_known_depth(bundled, pending.landmark_cameras):
         state = replace(state, object=replace(state.object, is_depth_guessed=False))
     # In boxes the solution may be the mirrored rotation, and converge there too.

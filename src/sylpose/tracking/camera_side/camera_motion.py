@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.features.static_background import (
     MIN_CORNERS,
+    MIN_INLIER_RATIO,
     CameraRotation,
     RotationRectifier,
     StaticBackground,
@@ -21,8 +22,10 @@ from sylpose.features.static_background import (
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.rig import Camera
-from sylpose.tracking.camera_side.frame import REGION_MARGIN, project_outline, rasterize_outline
+from sylpose.tracking.camera_side.frame import SEARCH_MARGIN, project_outline, rasterize_outline
+from sylpose.tracking.joint_side.joint_state import RETRY_FRAMES
 from sylpose.tracking.reports import CameraMotionReport
 
 # An image, and the object's mask (h, w) in it.
@@ -32,18 +35,15 @@ View = tuple[Image | None, BoolArray | None]
 # "background" in benchmarks/kinds.py, 0.8 at least where it is static, less than 0.1 where it was nudged by a degree;
 # 0.6 where an object that fills half of the image starts to move).
 MIN_UNCHANGED_RATIO = 0.4
-# A rotation is detected if such a share of the corners tested, `MIN_CORNERS` at least, agree on it, spread over such a
-# share of the image, while at most such a share is static (choice).
-MIN_AGREEING_RATIO, MIN_SPREAD, MAX_STATIC_RATIO = 0.6, 0.1, 0.1
+# A rotation is detected if `MIN_INLIER_RATIO` of the corners tested, `MIN_CORNERS` at least, agree on it, spread over such a
+# share of the image (choice), while at most `MIN_OUTLIER_RATIO` of them are static: otherwise the camera sees both.
+MIN_SPREAD = 0.1
 # A nudge has at least this median displacement, pixels, and this many standard deviations (choice).
 NUDGE_PX, MIN_NUDGE_SDS = 2.0, 10.0
 # Two rotations are equal within so many pixels at the image center (choice),
 SAME_PX = 0.5
 # or so many standard deviations (chi-squared of three, once in a thousand times).
 SAME_SDS = float(np.sqrt(chi_squared_bound(3)))
-# After so many consecutive frames of unexplained change, detection restarts as many frames later; with too few corners
-# it restarts after the same pause (choice).
-PAUSE_FRAMES = 10
 
 
 class CameraMotionDetector:
@@ -93,7 +93,7 @@ class CameraMotionDetector:
         if (is_unchanged & self.is_static).sum() >= MIN_UNCHANGED_RATIO * self.is_static.sum():
             self.is_static, self.last_rotation, self.n_changed = is_unchanged, None, 0
             if is_unchanged.sum() < MIN_CORNERS:
-                self.restart(PAUSE_FRAMES)
+                self.restart(RETRY_FRAMES)
             return CameraMotionReport()
         if not self.n_changed:
             # The object's position may become less certain in the next frames, without this camera.
@@ -103,14 +103,14 @@ class CameraMotionDetector:
         self.n_changed += 1
         if rotation is None or not _is_nudge(rotation):
             self.last_rotation = None
-            if self.n_changed > PAUSE_FRAMES:
-                self.restart(PAUSE_FRAMES)
+            if self.n_changed > RETRY_FRAMES:
+                self.restart(RETRY_FRAMES)
             return CameraMotionReport(has_changed=True)
         is_confirmed = self.last_rotation is not None and _is_same(rotation, self.last_rotation, self.camera)
         self.first_frame = self.first_frame if self.last_rotation is not None else index
         self.last_rotation = rotation
-        if self.n_changed > PAUSE_FRAMES and not is_confirmed:
-            self.restart(PAUSE_FRAMES)
+        if self.n_changed > RETRY_FRAMES and not is_confirmed:
+            self.restart(RETRY_FRAMES)
         return CameraMotionReport(
             True, Rotation.from_matrix(rotation.rotation).as_rotvec(), rotation.sd, self.first_frame, is_confirmed
         )
@@ -133,12 +133,12 @@ class CameraMotionDetector:
         self.background = detect_corners(image, None if self.stabilizer is None else self.stabilizer.valid)
         self.is_static = np.ones(len(self.background), bool)
         if len(self.background) < MIN_CORNERS:
-            self.restart(PAUSE_FRAMES)
+            self.restart(RETRY_FRAMES)
 
     def _is_on_object(self, points: FloatArray | None) -> BoolArray:
         """Return which corners (n,) are on the object."""
         assert self.background is not None
-        region = None if points is None else project_outline(self.camera, points, REGION_MARGIN)
+        region = None if points is None else project_outline(self.camera, points, SEARCH_MARGIN)
         columns, rows = self.background.pixels.astype(np.int64).T
         return np.asarray(rasterize_outline(region, self.camera.size)[rows, columns])
 
@@ -147,8 +147,8 @@ def _is_nudge(rotation: CameraRotation) -> bool:
     """Return whether a rotation is that of the whole camera and significant."""
     is_majority = (
         rotation.n_inliers >= MIN_CORNERS
-        and rotation.n_inliers >= MIN_AGREEING_RATIO * rotation.n_evaluated
-        and rotation.n_static <= MAX_STATIC_RATIO * rotation.n_evaluated
+        and rotation.n_inliers >= MIN_INLIER_RATIO * rotation.n_evaluated
+        and rotation.n_static <= MIN_OUTLIER_RATIO * rotation.n_evaluated
     )
     is_significant = _rotation_angle(rotation.rotation) > MIN_NUDGE_SDS * rotation.sd
     return bool(

@@ -25,24 +25,24 @@ from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, Land
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidence, compare_motions
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
-from sylpose.relative_pose.limits import MIN_ERROR_PX
-from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
+from sylpose.relative_pose.limits import CUTOFF as OUTLIER_SDS
+from sylpose.relative_pose.limits import MIN_ERROR_PX, MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import is_more_than_chance
+from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
 from sylpose.rig import Camera
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
 from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
-# Features displaced by less than this, in standard deviations of the camera's noise, are static (choice).
-STATIC_SIGMAS = 5.0
 # Half length of a landmark's search range, in standard deviations of its depth (chi-squared, once in a thousand times).
 DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
 MAX_RELATIVE_DEPTH_SD = 0.1
 # An outline (k, 2) in pixels; None: out of view.
 Region = FloatArray | None
-# Margin of the object's search region, as a share of its size in the image (choice).
-REGION_MARGIN = 0.15
+# Margin of a search at a predicted pose: around the object's region as a share of its size in the image, around a landmark's
+# projection as a share of the object's radius there; and that around a landmark's projection at a solved pose (choice).
+SEARCH_MARGIN, SOLVED_RADIUS = 0.15, 0.03
 # Directions in which an outline is dilated (choice).
 DILATION_DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
 # Default arrays.
@@ -50,17 +50,17 @@ _no_pixels = partial(np.empty, (0, 2))
 _no_indices: Callable[[], IntArray] = partial(np.array, [], np.int64)
 # For one camera: (weights, residuals in pixels) of each of its pairs.
 MatchWeights = list[tuple[FloatArray, FloatArray]]
-# Weight of a static landmark that never moved, while others move: boxes may contain ten times as much wall as object
-# (choice).
-STATIC_WEIGHT = 0.005
+# Weight of a static landmark that never moved, while others move: where the object has no more matches than the least share
+# by which a camera sees a body, all static ones together weigh as much as the usual mismatches (derived).
+STATIC_WEIGHT = MIN_OUTLIER_RATIO * MISMATCH_PROBABILITY
 # Landmarks with less weight, such as young ones among old, do not support a pose (choice).
 MIN_EVIDENCE_WEIGHT = 0.06
 # An inlier share this large does not occur by chance; at 0.7 another body in the same place is tracked (measured:
 # tests/tracking/test_disturbed.py) (choice).
 MIN_CERTAIN_INLIER_RATIO = 0.8
-# A landmark has moved with the object if the pose leaves at most this share of its displacement since its first
-# observation unexplained (choice).
-MAX_UNEXPLAINED_RATIO = 0.5
+# More than this share is most: of a landmark's displacement, which has to be explained by the object's motion, and of the
+# weight of features, which noise reduces (choice).
+MAJORITY = 0.5
 
 
 def project_outline(camera: Camera, points: FloatArray, margin_ratio: float) -> Region:
@@ -291,8 +291,8 @@ def select_inliers(pairs: Pairs, weights: Sequence[FloatArray]) -> list[FrameMat
 
 
 def compute_static_px(noise_px: float) -> float:
-    """Return the displacement, pixels, below which features of this noise are static."""
-    return min(STATIC_SIGMAS * max(noise_px, MIN_ERROR_PX), MAX_STATIC_PX)
+    """Return the displacement, pixels, below which features of this noise are static: inliers of no motion."""
+    return min(OUTLIER_SDS * max(noise_px, MIN_ERROR_PX), MAX_STATIC_PX)
 
 
 def compute_keypoint_static_px(noise_px: float) -> float:
@@ -419,7 +419,6 @@ def build_observations(
     """
     index = collect_features(pairs)
     landmarks = Landmarks.concatenate([pair.landmarks for pair in pairs])
-    counts = [pair.earlier.table.observation_counts(pair.earlier.landmark_ids) for pair in pairs]
     rotation, center = rotation_matrix_of(previous.world_from_object), previous.world_from_object.translation
     points, error = landmarks.mean @ rotation.T, landmarks.depth_error @ rotation.T
     outwards = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
@@ -438,20 +437,19 @@ def build_observations(
         center=camera.center - center,
         focal=camera.focal,
     )
-    oldest = max((int(own.max(initial=0)) for own in counts), default=0)
     depth_sd = float(np.median(np.linalg.norm(observations.depth_error, axis=1))) if len(index) else np.nan
-    ages = count_ages(observations.prior_weight, int(is_moving.sum()), oldest, depth_sd)
+    ages = count_ages(observations.prior_weight, int(is_moving.sum()), depth_sd)
     return observations, is_moving, ages
 
 
 # --- ages of landmarks ------------------------------------------------------------------------------------------------
 
 
-def count_ages(frame_counts: FloatArray, n_moving: int = 0, oldest: int = 0, depth_sd: float = np.nan) -> LandmarkAges:
+def count_ages(frame_counts: FloatArray, n_moving: int = 0, depth_sd: float = np.nan) -> LandmarkAges:
     """Build the histogram from each landmark's number of frames (n,)."""
     counts = np.bincount(frame_counts.astype(np.int64))
     values = np.flatnonzero(counts)
-    return LandmarkAges(values.astype(float), counts[values].astype(float), n_moving, oldest, depth_sd)
+    return LandmarkAges(values.astype(float), counts[values].astype(float), n_moving, depth_sd)
 
 
 def expand_ages(ages_by_camera: Sequence[LandmarkAges]) -> FloatArray:
@@ -723,7 +721,7 @@ def find_moved(inliers: Pairs, landmarks: Landmarks, match_weights: MatchWeights
         landmarks, np.concatenate([np.empty((0, 2)), *(pair.pixels_j for pair in inliers)])
     )
     is_unmoved = np.concatenate([np.empty(0, bool), *(pair.is_unmoved for pair in inliers)])
-    moves = (displacement > static_px) & (residual < MAX_UNEXPLAINED_RATIO * displacement) & ~is_unmoved
+    moves = (displacement > static_px) & (residual < MAJORITY * displacement) & ~is_unmoved
     return np.asarray(landmarks.has_moved | moves)
 
 

@@ -18,12 +18,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.bundle_adjustment.bundle import BundleResult
+from sylpose.features.sift import RESPONSE_SCALE
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of, rotvec
 from sylpose.geometry.numba_linalg import apply_rotvec
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
+from sylpose.relative_pose.limits import MISMATCH_PROBABILITY
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Camera, Rig
@@ -34,14 +35,12 @@ from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
 # After the first frames, a refinement is due once the object has rotated by this since the last one (radians), as less
 # shows little new; at the earliest after `MIN_INTERVAL` frames, at the latest after `MAX_INTERVAL` (choice).
 MIN_INTERVAL, MAX_INTERVAL = 4, 12
-# Minimum number of frames for a refinement that changes poses, as fewer do not determine depths well enough (choice).
-MIN_FRAMES_TO_APPLY = 9
 # The result of work in the background is used so many frames later: at 30 frames per second the time needed on a busy
 # processor (choice).
 RESULT_DELAY = 7
-# A frame becomes a keyframe when the object has rotated by this much relative to the nearest one, or its distance has
-# changed by this factor, in a camera's view (choice).
-MIN_KEYFRAME_SCALE = 1.2
+# A frame becomes a keyframe when the object has rotated relative to the nearest one (`TrackingOptions`), or its distance in
+# a camera's view has changed by this factor, that between two layers of SIFT's scales (derived).
+MIN_KEYFRAME_SCALE = 2.0 ** (1.0 / RESPONSE_SCALE)
 # One reference is taken from each ring of angles between viewpoints: near ones match well, far ones limit drift
 # (choice).
 RING_ANGLES = np.radians([0.0, 10.0, 18.0, 28.0])
@@ -53,8 +52,9 @@ MAX_ANCHOR_ROTATION = RING_ANGLES[-1]
 # Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
 # exceeds that divided by it (choice).
 PREPARATION_MARGIN = 1.5
-# Number of frames after which a costly search is repeated: of a camera without tracks, and where the object was
-# relocalized, but not confirmed (choice).
+# Number of frames after which a search is repeated: of a camera without tracks, and where the object was relocalized, but
+# not confirmed. Detection of a camera's motion restarts so many frames after as many of unexplained change, or after too
+# few corners (choice).
 RETRY_FRAMES = 8
 # Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
 MAX_SPARSE_AGE = 2
@@ -739,7 +739,7 @@ class JointState:
         last, before = self.last, self.refinement.last
         if self.refinement.pending is not None:
             return False
-        if before is None or last.number - self.frames.first.number <= MIN_FRAMES_TO_APPLY:
+        if before is None or last.number - self.frames.first.number <= options.n_recent_frames + 1:
             return True
         change = compute_pose_change(before.world_from_object, last.world_from_object)
         since = last.number - before.number
