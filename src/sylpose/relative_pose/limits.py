@@ -22,7 +22,7 @@ DECREASE_OF_ONE_SD = 0.5
 MAX_ROUNDS, MAX_STEPS = 40, 20
 # Largest rotation of a step, radians, and relative change of an inverse depth: the range in which the derivatives are valid
 # (choice).
-MAX_STEP = 0.5
+MAX_STEP = 0.3
 # An error of more standard deviations is no noise (choice): as the cutoff of Tukey's bisquare it is 94 % efficient with
 # Gaussian noise in two directions, whose squared length is chi-squared with two degrees of freedom.
 CUTOFF = 5.0
