@@ -45,6 +45,9 @@ MAX_FOCAL_PX, MAX_DISTORTION, MAX_LENGTH = 1e9, 1e9, 1e12
 MAX_NAME_LENGTH = 100
 # Largest grid to which stored image points are rounded, pixels: a tenth of the noise of the best features (choice).
 GRID_PX = 1.0 / 128.0
+# Below this ratio of the least to the largest eigenvalue of their normal equations, the square of half the angle between
+# two lines, nearly parallel lines leave the point undetermined along them: 3 degrees (choice).
+MIN_EIGENVALUE_RATIO = 1e-3
 
 # OpenCV 4 and 5 have different names for the function with a stopping criterion.
 _undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
@@ -433,8 +436,8 @@ def intersect_rays(centers: ArrayLike, directions: ArrayLike, near: ArrayLike | 
     near = check_finite(near, (3,), "near", maximum=MAX_LENGTH)
     projectors = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     offsets = np.einsum("nij,nj->i", projectors, centers - near)
-    # Eigenvalues of the sum go down to about (angle / 2)^2 of the largest: 1e-3 cuts at 3 degrees between two lines.
-    return np.asarray(near + np.linalg.pinv(projectors.sum(axis=0), rcond=1e-3, hermitian=True) @ offsets)
+    inverse = np.linalg.pinv(projectors.sum(axis=0), rcond=MIN_EIGENVALUE_RATIO, hermitian=True)
+    return np.asarray(near + inverse @ offsets)
 
 
 def make_look_at_camera(

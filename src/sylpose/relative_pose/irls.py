@@ -48,9 +48,9 @@ UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
 # Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
 EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
-# Growing steps overshoot, and changing inliers cause cycles: a step is halved where it grows, and lengthens again by this
-# factor (choice: with 2, steps of motions that are hardly determined do not converge).
-STEP_GROWTH_FACTOR = 1.3
+# Growing steps overshoot, and changing inliers cause cycles: a step is halved where it grows, but not below this share, and
+# lengthens again by this factor (choice: with 2, steps of motions that are hardly determined do not converge).
+MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.1, 1.3
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
@@ -222,7 +222,9 @@ def run_constrained_irls(
         last_decrease, decrease = decrease, 0.5 * dot(step, right)
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
         growing = decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1
-        length = min(0.5 * length if growing else STEP_GROWTH_FACTOR * length, 1.0, MAX_STEPS / count)
+        length = min(
+            max(0.5 * length, MIN_STEP_LENGTH) if growing else STEP_GROWTH_FACTOR * length, 1.0, MAX_STEPS / count
+        )
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, MAX_STEP / max(angle, 1e-300))
         for t in range(n):

@@ -29,6 +29,7 @@ from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, compute_
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS
+from sylpose.rig import MIN_EIGENVALUE_RATIO
 from sylpose.status import Status
 
 # Eight matches over all cameras leave two more equations than unknowns; fewer give no redundancy (choice).
@@ -65,9 +66,6 @@ COINCIDENCE_TOLERANCE = 1e-9
 MIN_CONVERGENCE_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # Rays also converge if their mean is shorter than this, a cone of some 36 degrees (choice).
 MIN_PARALLEL_MEAN = 0.95
-# Below this ratio of the least to the largest eigenvalue of their normal equations, nearly parallel lines leave the
-# point undetermined along them: 3 degrees (choice, that of `rig.intersect_rays`).
-MIN_EIGENVALUE_RATIO = 1e-3
 
 # Related priors elsewhere describe the visible side of a body in their own unknowns:
 # - `sylvester.depth_plane`: a plane without an offset, which moments about the mean do not have; all normals
