@@ -20,6 +20,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
 from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, dot, kernel, leaf
 from sylpose.geometry.robust_loss import bisquare_noise_response
+from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_OWN_MATCHES
 from sylpose.relative_pose.limits import (
     CONVERGED_DECREASE,
     CUTOFF,
@@ -381,7 +382,10 @@ def _update_residual_depth(stack: Stack, fit: IrlsFit, work: _Workspace) -> None
 
 @kernel
 def _update_sigma(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
-    """Update `sigma_px` (T,) from the weighted residuals."""
+    """Update `sigma_px` (T,) from the weighted residuals.
+
+    That of the rig weighs as much as the fewest matches of which a camera has a fit of its own.
+    """
     weights, across, sigma_px, mass = fit.weights, fit.residuals_px, fit.sigma_px, work.mass
     n = sigma_px.shape[0]
     squares, inliers, rig, rig_mass = np.zeros(n), 0, 0.0, 0.0
@@ -402,7 +406,7 @@ def _update_sigma(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
     freedom = max(1.0 - N_MOTION / inliers, MIN_FREEDOM_SHARE)
     rig = rig / max(rig_mass, 1e-12) / freedom
     for t in range(n):
-        square = (squares[t] / freedom + MIN_MATCHES * rig) / (mass[t] + MIN_MATCHES)
+        square = (squares[t] / freedom + MIN_OWN_MATCHES * rig) / (mass[t] + MIN_OWN_MATCHES)
         sigma_px[t] = np.sqrt(square)
 
 
