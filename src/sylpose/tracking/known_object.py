@@ -49,8 +49,6 @@ from sylpose.units import INITIAL_DISTANCES
 
 # Minimum number of keyframes of a usable object model: depths need two views (derived).
 MIN_KEYFRAMES = 2
-# Maximum length of a frame's description, characters (choice).
-MAX_DESCRIPTION_CHARS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +155,7 @@ class KnownObject(Printable):
         if (sd < 0.0).any():
             raise ValueError("sd: standard deviations are not negative")
         from_learned = check_single_pose(new_from_object, "new_from_object") * self.frame.from_learned
-        description = to_one_line(check_type(description, str, "description"), MAX_DESCRIPTION_CHARS)
+        description = to_one_line(check_type(description, str, "description"))
         frame = ObjectFrame(from_learned, sd, description)
         return replace(self, frame=frame)
 

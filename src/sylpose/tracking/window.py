@@ -46,12 +46,15 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.options import TrackingOptions
-from sylpose.tracking.pose_search import OTHER_SIDE_ROTATION, SAME_PLACE_RATIO
+from sylpose.tracking.pose_search import SAME_PLACE_RATIO
 from sylpose.tracking.reports import NewObservations, quantize_positions
 
 # If the last refinement is at least so many frames ago, the next one runs in the background: its result is used before
 # another one is due (derived).
 BACKGROUND_INTERVAL = RESULT_DELAY + 1
+# A refinement is valid if it turns the last pose by less than this, radians, and moves it by less than `SAME_PLACE_RATIO`
+# (choice: with 10 degrees, the window of a faint object turns by twenty degrees in steps, each of them small).
+MAX_ROTATION_CHANGE = 0.1
 # Upper limit of landmark numbers (derived).
 MAX_LANDMARK_ID = 2**32
 
@@ -104,7 +107,7 @@ def apply_refinement(context: Context, state: JointState) -> JointState:
     last, refined_to = frames[at], bundled.world_from_object[at]
     change = compute_pose_change(last.world_from_object, refined_to)
     is_near = (
-        np.linalg.norm(change[:3]) < OTHER_SIDE_ROTATION
+        np.linalg.norm(change[:3]) < MAX_ROTATION_CHANGE
         and np.linalg.norm(change[3:]) < SAME_PLACE_RATIO * state.object.radius
     )
     # Fewer than the recent frames and the first one do not determine depths well enough.
