@@ -53,7 +53,7 @@ from sylpose.tracking.reports import NewObservations, quantize_positions
 # another one is due (derived).
 BACKGROUND_INTERVAL = RESULT_DELAY + 1
 # A refinement is valid if it turns the last pose by less than this, radians, and moves it by less than `SAME_PLACE_RATIO`
-# (choice: with 10 degrees, the window of a faint object turns by twenty degrees in steps, each of them small).
+# (choice: with 10 degrees, a faint object was tracked up to 8 degrees off instead of uncertain).
 MAX_ROTATION_CHANGE = 0.1
 # Upper limit of landmark numbers (derived).
 MAX_LANDMARK_ID = 2**32
