@@ -17,7 +17,8 @@ MAX_COORDINATE = 1e9
 
 # A feature displaced by less than this, in pixels, is static within the accuracy of keypoints.
 STATIC_PX = 1.5
-# A feature displaced by more than this, in pixels, has moved whatever the noise (choice).
+# A feature displaced by more than this, in pixels, has moved whatever the noise; if the median of a camera's landmarks is,
+# the camera has moved (choice).
 MAX_STATIC_PX = 6.0
 
 

@@ -36,7 +36,7 @@ PIXELS = SIZE[0] * SIZE[1] // 2
 @pytest.fixture
 def small_search_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (camera_module, initialization):
-        monkeypatch.setattr(module, "MAX_CONCURRENT_PIXELS", PIXELS)
+        monkeypatch.setattr(module, "MAX_SEARCH_PIXELS", PIXELS)
 
 
 @cache

@@ -38,9 +38,7 @@ SIFT_BIAS_PX = 0.25
 # Least cosine of two RootSIFT descriptors of the same point; unrelated ones stay below about 0.7.
 MIN_COSINE = 0.85
 # Number of pixels that all threads process at the same time, for each two cores: SIFT holds 11 images of four times as many
-# pixels, of four bytes, and their octaves, 235 bytes per pixel; these are 0.5 GB, a whole Full HD image (choice). Larger
-# images are downscaled to it where the whole image is searched; detection is repeated at full resolution where something
-# was found.
+# pixels, of four bytes, and their octaves, 235 bytes per pixel; these are 0.5 GB, a whole Full HD image (choice).
 MAX_CONCURRENT_PIXELS = 1920 * 1080
 FULL_RESOLUTION = np.ones(2)
 

@@ -40,7 +40,7 @@ TARGET_CONTRAST = 30.0
 # downscaled image.
 KLT_WINDOW, KLT_LEVELS, MAX_ROUND_TRIP_PX = (15, 15), 3, 0.7
 # If fewer than this share of the corners agree, they may have moved too far for tracking: SIFT features are matched
-# instead.
+# instead. A camera has rotated if as many agree on it.
 MIN_INLIER_RATIO = 0.6
 # Number of corner pairs whose rotations are sampled, and the inlier threshold, pixels of the downscaled image.
 N_RANSAC_SAMPLES, INLIER_PX = 300, 2.0

@@ -28,6 +28,8 @@ MIN_NOISE_PX, MAX_NOISE_PX = 1e-4, 1e6
 
 # Probability with which chance exceeds the limits of tests (choice).
 SIGNIFICANCE = 1e-3
+# Weight of the rig's noise in a camera's estimate, as a number of matches (choice).
+RIG_PRIOR_MATCHES = 10.0
 
 # Values of the losses, integrals of the weights by q, from the cutoff on (derived).
 BIQUARTIC_BOUND = 8.0 / 15.0

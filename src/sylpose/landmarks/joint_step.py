@@ -11,13 +11,12 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel, solve_factored
+from sylpose.geometry.robust_loss import RIG_PRIOR_MATCHES
 
 # Iterations in which noise and variance inflation are updated; then they are constant, and the rest converges (choice).
 SETTLING_ITERATIONS = 5
 MAX_ITERATIONS = 40
 MIN_SIGMA_PX = 0.2
-# Weight of the rig's noise in a camera's estimate, as a number of matches (choice).
-RIG_PRIOR_MATCHES = 10.0
 # Expected disagreement of a camera with the others: the mean of chi-squared with six degrees of freedom (chi-squared).
 MEAN_CHI_SQUARED = 6.0
 # Multiples of that which are not due to chance (chi-squared: once in 160 times).

@@ -25,7 +25,7 @@ from sylpose.packets import Packet
 from sylpose.rig import Rig
 
 # Version of the protocol (choice).
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 LOOPBACK = "127.0.0.1:0"  # this machine only, at any port (choice)
 # Names that are valid in a key expression.
 NAME_PATTERN = re.compile(r"[A-Za-z0-9_.\-]{1,64}")

@@ -61,8 +61,7 @@ N_OWN, N_JOINT = 5, 6
 # A camera needs twice as many matches as unknowns to have a fit of its own (derived).
 MIN_MATCHES = 2 * N_OWN
 # A camera's own motion begins with `MIN_SHARE` of its matches, those that the joint motion explains best: where other things
-# move, too, the object may have as few. Its inliers are within so many standard deviations (chi-squared,
-# all but one in a thousand).
+# move, too, the object may have as few. Its inliers are within so many standard deviations (choice).
 MAX_SIGMAS = 3.0
 # Standard deviation of normal residuals of which this share is smaller than 1 (derived).
 SIGMA_OF_SHARE = 1.0 / float(ndtri(0.5 + 0.5 * MIN_SHARE))

@@ -19,8 +19,7 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
 from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, dot, kernel, leaf
-from sylpose.geometry.robust_loss import bisquare_noise_response
-from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_OWN_MATCHES
+from sylpose.geometry.robust_loss import RIG_PRIOR_MATCHES, bisquare_noise_response
 from sylpose.relative_pose.limits import (
     CONVERGED_DECREASE,
     CUTOFF,
@@ -49,9 +48,10 @@ UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
 # Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
 EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
-# Growing steps overshoot, and changing inliers cause cycles: a step is halved where it grows, but not below this share, and
-# lengthens again by this factor (choice: with 2, steps of motions that are hardly determined do not converge).
-MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.1, 1.3
+# Growing steps overshoot, and changing inliers cause cycles: steps are shortened by this factor where they grow, but not
+# below this share, and lengthen again by this factor (choice: with 2, steps of motions that are hardly determined do not
+# converge).
+STEP_SHRINK_FACTOR, MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.5, 0.1, 1.3
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
@@ -224,7 +224,9 @@ def run_constrained_irls(
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
         growing = decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1
         length = min(
-            max(0.5 * length, MIN_STEP_LENGTH) if growing else STEP_GROWTH_FACTOR * length, 1.0, MAX_STEPS / count
+            max(STEP_SHRINK_FACTOR * length, MIN_STEP_LENGTH) if growing else STEP_GROWTH_FACTOR * length,
+            1.0,
+            MAX_STEPS / count,
         )
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         length_now = length * min(1.0, MAX_STEP / max(angle, 1e-300))
@@ -382,10 +384,7 @@ def _update_residual_depth(stack: Stack, fit: IrlsFit, work: _Workspace) -> None
 
 @kernel
 def _update_sigma(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
-    """Update `sigma_px` (T,) from the weighted residuals.
-
-    That of the rig weighs as much as the fewest matches of which a camera has a fit of its own.
-    """
+    """Update `sigma_px` (T,) from the weighted residuals."""
     weights, across, sigma_px, mass = fit.weights, fit.residuals_px, fit.sigma_px, work.mass
     n = sigma_px.shape[0]
     squares, inliers, rig, rig_mass = np.zeros(n), 0, 0.0, 0.0
@@ -406,7 +405,7 @@ def _update_sigma(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
     freedom = max(1.0 - N_MOTION / inliers, MIN_FREEDOM_SHARE)
     rig = rig / max(rig_mass, 1e-12) / freedom
     for t in range(n):
-        square = (squares[t] / freedom + MIN_OWN_MATCHES * rig) / (mass[t] + MIN_OWN_MATCHES)
+        square = (squares[t] / freedom + RIG_PRIOR_MATCHES * rig) / (mass[t] + RIG_PRIOR_MATCHES)
         sigma_px[t] = np.sqrt(square)
 
 

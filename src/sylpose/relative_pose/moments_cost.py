@@ -33,13 +33,12 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
-from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, Candidate, Stack, transform_to_camera
 
 # Weight of the prior in the estimate of the residual depth, as a number of matches (choice).
 PRIOR_MATCHES = 3.0
-# An excess below this many standard deviations of the noise variance is not residual depth (chi-squared, 95 %).
-NOISE_SIGMAS = float(np.sqrt(chi_squared_bound(1, 0.05)))
+# An excess below this many standard deviations of the noise variance is not residual depth (choice).
+NOISE_SIGMAS = 2.0
 
 
 class MomentSums(NamedTuple):

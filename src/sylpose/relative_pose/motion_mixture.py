@@ -224,9 +224,10 @@ MIN_MOVED_SQUARE, CHANCE_SHARE = 9.2, 0.01
 # instead of without motion, in 25 of 25 scenes).
 MAX_MOVED_SQUARE = 200.0
 # Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
-# to 4 px without a background 2.1 at most in 24 scenes), and the least number of matches of a body that moves, or of inliers
-# by which a camera shows it (choice).
-MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
+# to 4 px without a background 2.1 at most in 24 scenes).
+MIN_LIKELIHOOD_GAIN = 3.0
+# Least number of matches of a body that moves, or of inliers by which a camera shows it (choice).
+MIN_MOVING_MATCHES = 2 * MIN_MATCHES
 # Factors by which the motion of a part may exceed that of all matches (choice).
 MOTION_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0)
 # Largest loss of log-likelihood of such a motion: two standard deviations, 2² / 2 (derived).

@@ -23,14 +23,14 @@ MIN_MOTION_SQUARE, MIN_ROTATION_SQUARE = chi_squared_bound(6), chi_squared_bound
 # Points are collinear if they deviate from a line by at most this, in standard deviations of their noise (chi-squared, once
 # in a thousand times).
 MAX_ROD_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
+# They also count as collinear up to this deviation if they extend so many times as far along the line. The depth of so
+# thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
+MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
 # Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
 # single one (choice).
 SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
 # Number of permutations to measure chance (choice).
 N_PERMUTATIONS = 8
-# They also count as collinear up to so many standard deviations if they extend as many times as far along the line. The
-# depth of so thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
-THIN_RATIO = 10.0
 
 
 def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
@@ -184,7 +184,7 @@ def is_collinear(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normal
             # The smaller eigenvalue of the points' covariance.
             least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
             noise, most = (sigma_px[t] / stack.focal[t]) ** 2, xx + yy - least
-            thin = least <= THIN_RATIO**2 * noise and most > THIN_RATIO**2 * least
+            thin = least <= MAX_THIN_SIGMAS**2 * noise and most > MIN_THIN_RATIO**2 * least
             if least > MAX_ROD_SIGMAS**2 * noise and not thin:
                 return False
             if frame == 1:

@@ -67,6 +67,7 @@ def select_larger_body(
         return None
     first_inliers = [w > 0 for w in first.fit.weights]
     changed = _count_true([a != b for a, b in zip(first_inliers, inliers, strict=True)])
+    # If the first motion keeps its matches but for mismatches, the second keeps its own.
     if changed > MISMATCH_PROBABILITY * _count_true(inliers):
         second = _solve_motion(data, [~m for m in first_inliers], solve) or second
     counts = [_count_true([w > 0 for w in s.fit.weights]) for s in (first, second)]

@@ -283,6 +283,7 @@ def _consider_alternatives(
             return minima, motion, information
         start = make_irls_start(stack, Candidate(*motion, stack.depth_model_mean), irls_fit.sigma_px)
         refit, refit_cost = uncertainty.fit_edge_on(stack, probabilities, start)
+        # A near alternative is two standard deviations away.
         columns = [UNOBSERVABLE_RATIO * likeliest.step[:, None]]
         columns += [uncertainty.compute_square_root(refit.information, radius)] if refit_cost < np.inf else []
         information = _inflate_both(information, np.column_stack(columns))
@@ -313,7 +314,7 @@ def _refine_from_alternatives(
 ) -> RefinedMinima | None:
     """Refit from the second planes of flat objects, the other minima, and the motion itself with other depths.
 
-    The noise that was found is kept. Flat objects, weakly observed motions and those of few inliers depend on how curved
+    The noise that was found is kept. Flat objects and weakly observed motions depend on how curved
     surfaces are assumed to be: they are also fitted as if as curved as the prior, and as if flat. A motion that does not
     converge to itself from prior depth models depends on models and weights left by chance or by another motion: the
     motion that it converges to counts as equally likely.

@@ -50,6 +50,8 @@ RESIDUAL_DEPTH_SD = 0.25
 # quadric at the anchor (derived, rounded). Its tails are Gaussian, hence wider than the Cauchy scale; all else is
 # residual depth (choice).
 PLANE_OFFSET, PLANE_OFFSET_SD, PLANE_SLOPE_SD, PLANE_RESIDUAL_DEPTH_SD = 0.3, OFFSET_SD, 1.0, 0.3
+# Upper bound of the standard deviation of g's inverse depth in the search (choice).
+MAX_INVERSE_DEPTH_SD = 0.3
 # Prior of the quadric in radii of the object, without the 1 of its inverse depth; slopes are per spread and are scaled
 # separately (derived).
 _PRIOR_MEAN = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
@@ -308,7 +310,7 @@ def _set_depth_priors(stack: Stack, radius: float) -> None:
         stack.residual_depth[t] = RESIDUAL_DEPTH_SD * share
         stack.plane_residual_depth[t] = PLANE_RESIDUAL_DEPTH_SD * share
         # In the search, depths must not become negative: errors in length are acceptable.
-        stack.plane_sd[t, 0] = min(np.hypot(PLANE_OFFSET_SD, distance_sd[t]) * share, OFFSET_SD)
+        stack.plane_sd[t, 0] = min(np.hypot(PLANE_OFFSET_SD, distance_sd[t]) * share, MAX_INVERSE_DEPTH_SD)
         stack.plane_mean[t, 0] = 1.0 + PLANE_OFFSET * share
         for j in range(1, 3):
             stack.plane_mean[t, j], stack.plane_sd[t, j] = 0.0, PLANE_SLOPE_SD * spread

@@ -312,8 +312,9 @@ def find_likeliest_alternative(
     return best
 
 
-# Least restoring curvature as a share of the quadratic one (choice).
-MIN_CURVATURE_SHARE = 0.05
+# Largest deviation across the valley, relative to the distance along it, and the least restoring curvature as a share of the
+# quadratic one (choice).
+MAX_DEVIATION_RATIO, MIN_CURVATURE_SHARE = 0.5, 0.05
 # The mean fourth power of a normal variable: the variance that results from a deviation at one standard deviation
 # (derived).
 NORMAL_FOURTH_MOMENT = 3.0
@@ -321,7 +322,8 @@ NORMAL_FOURTH_MOMENT = 3.0
 # 2,952 answers with a direction above 5 %, half have one above this, and 58 of the 68 confidently wrong ones; of 800 usual
 # answers 26).
 WEAKLY_OBSERVED_SHARE = 0.08
-# The result is included as if it were no farther than this (chi-squared, once in a thousand times) ...
+# The result of a displacement of `CUTOFF` is included as if it were no farther than this (chi-squared, once in a thousand
+# times) ...
 MAX_INCLUDED_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # ... if the covariance is too small for it by more than this (measured: if all are included, the mean normalized
 # squared error with two cameras is 3.9, with this 4.1, without any 4.4; 6 is right).
@@ -351,7 +353,7 @@ def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit
                 return np.column_stack([*columns, sd[k] * along])
             # The deviation is small relative to the displacement; otherwise another minimum was reached.
             deviation = float(np.linalg.norm(deviations[side] / scale))
-            deviations[side] *= min(1.0, UNOBSERVABLE_RATIO * length / max(deviation, 1e-300))
+            deviations[side] *= min(1.0, MAX_DEVIATION_RATIO * length / max(deviation, 1e-300))
             restoring += 0.5 * max(force * float(sd[k]) ** 2 / length, 0.0)
         columns += [np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * row for row in deviations]
         if restoring < 1.0:

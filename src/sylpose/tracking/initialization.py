@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import MAX_CONCURRENT_PIXELS, Features
+from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.status import FrameStatus
 from sylpose.tracking.bodies import has_rival
-from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
     CameraPairs,
@@ -82,9 +82,7 @@ def initialize_tracking(
         tracked = _create_unmatched_frame(context, frame, FrameStatus.NO_MOTION, nothing)
         reason = f"the object is not seen to move before frame {candidate.first}"
         return state, [], [replace(tracked, pose=replace(tracked.pose, reason=reason))]
-    features = context.detect_everywhere(
-        frame.images, context.options.max_start_features, max_pixels=MAX_CONCURRENT_PIXELS
-    )
+    features = context.detect_everywhere(frame.images, context.options.max_start_features, max_pixels=MAX_SEARCH_PIXELS)
     if not buffered and _count_features(context, features) < MIN_MATCHES:
         # Later frames need one to be compared with.
         return state, [], [_create_unmatched_frame(context, frame, FrameStatus.TOO_FEW_MATCHES, features)]

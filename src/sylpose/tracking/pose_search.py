@@ -34,7 +34,7 @@ from sylpose.tracking.camera_side.camera import (
 )
 from sylpose.tracking.camera_side.frame import (
     MAJORITY,
-    SEARCH_MARGIN,
+    PREDICTED_RADIUS,
     SOLVED_RADIUS,
     CameraPairs,
     FrameMatches,
@@ -60,11 +60,11 @@ from sylpose.tracking.joint_side.joint_state import (
 from sylpose.tracking.reports import Agreements, PoseAgreement, RelocalizationMatches, TrackingReport
 
 # An object that rotates by more than this, radians, shows another side: per frame it is fast, and a solved pose that is
-# farther from the one that its solution started from is another one (measured: benchmarks/loops.py, where more features at
-# 7.6 degrees per frame were no gain) (choice).
+# farther from the one that its solution started from is another one (choice: in benchmarks/loops.py more features at 7.6
+# degrees per frame were no gain).
 OTHER_SIDE_ROTATION = np.radians(10.0)
 # Places nearer to each other than this share of the object's radius are the same: of a pose and the one that its solution
-# started from, and of features, whose depths have to be known to it (choice).
+# started from or that a refinement changed, and of features, whose depths have to be known to it (choice).
 SAME_PLACE_RATIO = 0.3
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
 # (choice).
@@ -362,7 +362,7 @@ def is_scattered(context: Context, state: JointState, candidate: PoseCandidate) 
     """
     noise = np.nan_to_num(np.array([a.noise_px for a in candidate.agreements]), nan=np.inf)
     # The noise at which inliers count nothing, for the larger search radius.
-    chance_ratio = ZERO_WEIGHT_NOISE_RATIO / SOLVED_RADIUS * SEARCH_MARGIN
+    chance_ratio = ZERO_WEIGHT_NOISE_RATIO / SOLVED_RADIUS * PREDICTED_RADIUS
     is_better = noise < chance_ratio * np.array(context.object_radius_px(state, candidate.pose))
     features = np.array([a.n_inlier_features for a in candidate.agreements])
     return bool(features[is_better].sum() < MIN_MATCHES)
@@ -437,7 +437,7 @@ def _search_by_guided_matching(
     solve_near = partial(_solve_near_pose, context, young, frame, predicted_pose)
     candidates, is_predicted = [solve_pose(context, state, frame, pairs, predicted_pose)], matched_pose is not None
     if is_predicted or state.motion.velocity.n_frames:
-        is_predicted, near = True, solve_near(predicted_pose, SEARCH_MARGIN)
+        is_predicted, near = True, solve_near(predicted_pose, PREDICTED_RADIUS)
         candidates += [near] if near is not None and is_near_start(state, near, predicted_pose) else []
     best = _select_candidate(context, state, candidates, solve_near)
     # Where the cameras contradict each other, features of a body that has come to lie on the object may be landmarks.
@@ -487,7 +487,7 @@ def _find_translated_pose(
     gathered = context.executor.gather(matches, RelocalizationMatches())
     translation = find_translation(context.rig, gathered, predicted_pose, state.object.radius, context.seed)
     pose = RigidTransform.from_translation(translation) * predicted_pose
-    areas = _make_search_areas(context, state, pose, SEARCH_MARGIN)
+    areas = _make_search_areas(context, state, pose, PREDICTED_RADIUS)
     return pose, context.executor.run(_select_in_area, context.cameras, pairs, areas)
 
 
@@ -518,7 +518,7 @@ def find_translation(
     Args:
         matches: per camera.
         pose: world_from_object; its rotation is kept.
-        radius: of the object: matches agree within `SEARCH_MARGIN` of it, translations are less than it.
+        radius: of the object: matches agree within `PREDICTED_RADIUS` of it, translations are less than it.
         seed: of the sampling.
     """
     lines = [
@@ -542,7 +542,7 @@ def find_translation(
     sampled = np.concatenate([np.zeros((1, 3)), sampled[np.linalg.norm(sampled, axis=1) < radius]])
     outer = np.einsum("mi,mj->mij", sampled, sampled).reshape(-1, 9)
     squared = outer @ across.reshape(-1, 9).T - 2.0 * sampled @ nearest.T + (nearest**2).sum(axis=1)
-    votes = np.fmax(1.0 - squared / (SEARCH_MARGIN * radius) ** 2, 0.0).sum(axis=1)
+    votes = np.fmax(1.0 - squared / (PREDICTED_RADIUS * radius) ** 2, 0.0).sum(axis=1)
     return np.asarray(sampled[np.argmax(votes)])
 
 
@@ -576,7 +576,10 @@ def _select_nearby(context: Context, state: JointState, guess: RigidTransform) -
 def _make_search_areas(
     context: Context, state: JointState, pose: RigidTransform, radius_ratio: float
 ) -> list[SearchArea]:
-    """Return per camera, local: the search area, by its share of the object's radius in the image."""
+    """Return per camera, local: the search area, by its share of the object's radius in the image.
+
+    It contains all keypoints that count as the same position.
+    """
     radii = context.object_radius_px(state, pose)
     return [SearchArea(pose, max(radius_ratio * radii[c], SAME_POSITION_PX)) for c in context.executor.local]
 

@@ -37,7 +37,6 @@ from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.joint_side.joint_state import (
     RETRY_FRAMES,
-    RING_ANGLES,
     JointState,
     SolvedFrame,
     compute_viewpoints,
@@ -61,8 +60,8 @@ from sylpose.tracking.pose_search import (
 from sylpose.tracking.reports import RelocalizationMatches
 
 # Number of keyframes compared per camera and frame: so many nearest to its last viewpoint, as a tracked frame is matched
-# with, and as many others from all sides in rotation (derived).
-N_KEYFRAMES = len(RING_ANGLES) - 1
+# with, and as many others from all sides in rotation (choice).
+N_KEYFRAMES = 3
 # Successive multiples of it, modulo 1, are spread evenly (derived).
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 # Features match others elsewhere on the object if the ratio of descriptor distances is below this one, where few do so by

@@ -110,8 +110,10 @@ def apply_refinement(context: Context, state: JointState) -> JointState:
         np.linalg.norm(change[:3]) < MAX_ROTATION_CHANGE
         and np.linalg.norm(change[3:]) < SAME_PLACE_RATIO * state.object.radius
     )
-    # Fewer than the recent frames and the first one do not determine depths well enough.
-    is_settled = len(frames) > context.options.n_recent_frames and bundled.status is Status.OK and is_near
+    # Fewer than the recent frames and the first one do not determine depths well enough; with fixed keyframes, about half of
+    # the window remains.
+    n_enough = min(context.options.n_recent_frames, context.options.max_window_frames // 2)
+    is_settled = len(frames) > n_enough and bundled.status is Status.OK and is_near
     if is_settled and _has_known_depth(bundled, pending.landmark_cameras):
         state = replace(state, object=replace(state.object, is_depth_guessed=False))
     # In boxes the solution may be the mirrored rotation, and converge there too.

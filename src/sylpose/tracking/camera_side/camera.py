@@ -23,7 +23,6 @@ from sylpose.features.patches import estimate_noise_variance, find_replaced, sam
 from sylpose.features.search_windows import SearchWindows
 from sylpose.features.sift import (
     FULL_RESOLUTION,
-    MAX_CONCURRENT_PIXELS,
     MAX_FAINT_FEATURES,
     MAX_FEATURES,
     Features,
@@ -48,7 +47,7 @@ from sylpose.relative_pose.camera_evidence import CameraEvidence, compare_motion
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
 from sylpose.tracking.camera_side.frame import (
-    SEARCH_MARGIN,
+    PREDICTED_RADIUS,
     SOLVED_RADIUS,
     CameraFrame,
     DetectedFeatures,
@@ -81,7 +80,10 @@ from sylpose.tracking.reports import PoseAgreement, TrackingReport
 MAX_BACKGROUND_FEATURES = 2 * MAX_FAINT_FEATURES
 # Offsets at which matches occur by chance only, in search radii of a solved pose: in each direction the nearest one whose
 # search area is outside of that of a predicted pose, to whose matches a wrong pose may have been fitted (derived).
-CHANCE_OFFSETS = (1.0 + SEARCH_MARGIN / SOLVED_RADIUS) * np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+CHANCE_OFFSETS = (1.0 + PREDICTED_RADIUS / SOLVED_RADIUS) * np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+# Larger images than Full HD are downscaled where the whole image is searched; detection is repeated at full resolution
+# where something was found (choice).
+MAX_SEARCH_PIXELS = 1920 * 1080
 # The surroundings of the object's outline are searched up to so many times its size (choice).
 SURROUNDINGS_SCALE = 2.0
 # Features per camera of an anchor (they are also used for matching, as anchors become keyframes); how many of them are
@@ -373,7 +375,7 @@ class CameraTracker:
     def is_large(self) -> bool:
         """Whether the camera's images are downscaled for searching."""
         width, height = self.camera.size
-        return width * height > MAX_CONCURRENT_PIXELS
+        return width * height > MAX_SEARCH_PIXELS
 
     @property
     def has_observations(self) -> bool:
@@ -485,14 +487,12 @@ class CameraTracker:
     def detect_surroundings(self, region: Region, images: FrameSet, *, faint: bool) -> Features:
         """Detect features outside a region; in large images at full resolution near it."""
         area, view = ~self.rasterize(region), self.view_of(images)
-        detected = self.detect(view, area, faint=faint, max_pixels=MAX_CONCURRENT_PIXELS)
+        detected = self.detect(view, area, faint=faint, max_pixels=MAX_SEARCH_PIXELS)
         if region is None or not self.is_large:
             return detected
         middle = region.mean(axis=0)
         near_area = area & self.rasterize(middle + SURROUNDINGS_SCALE * (region - middle))
-        return Features.concatenate(
-            [detected, self.detect(view, near_area, faint=faint, max_pixels=MAX_CONCURRENT_PIXELS)]
-        )
+        return Features.concatenate([detected, self.detect(view, near_area, faint=faint, max_pixels=MAX_SEARCH_PIXELS)])
 
     def rasterize(self, region: Region) -> BoolArray:
         """Return a region's area (h, w)."""
@@ -589,7 +589,7 @@ class CameraTracker:
         camera_from_world = self.camera.camera_from_world
         motion = camera_from_world * pose * first.world_from_object.inv() * camera_from_world.inv()
         distance = float(np.linalg.norm(camera_from_world.apply(first.world_from_object.translation)))
-        current = self.detect(self.view_of(images), None, max_pixels=MAX_CONCURRENT_PIXELS)
+        current = self.detect(self.view_of(images), None, max_pixels=MAX_SEARCH_PIXELS)
         inside, of_inside, _ = self._compare_motion(self.frames[first.number].features, current, motion, distance)
         outside, of_outside, n_static = self._compare_motion(self.background_features, current, motion, distance)
         return inside, of_inside, outside if outside < n_static else 0.0, of_outside

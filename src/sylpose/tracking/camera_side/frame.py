@@ -40,9 +40,11 @@ DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 MAX_RELATIVE_DEPTH_SD = 0.1
 # An outline (k, 2) in pixels; None: out of view.
 Region = FloatArray | None
-# Margin of a search at a predicted pose: around the object's region as a share of its size in the image, around a landmark's
-# projection as a share of the object's radius there; and that around a landmark's projection at a solved pose (choice).
-SEARCH_MARGIN, SOLVED_RADIUS = 0.15, 0.03
+# Margin of the object's search region, as a share of its size in the image (choice).
+REGION_MARGIN = 0.15
+# Search radius around a landmark's projection, as a share of the object's radius in the image: at a predicted pose, and at a
+# solved one (choice).
+PREDICTED_RADIUS, SOLVED_RADIUS = 0.15, 0.03
 # Directions in which an outline is dilated (choice).
 DILATION_DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
 # Default arrays.
