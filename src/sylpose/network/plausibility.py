@@ -13,9 +13,8 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import unpack_symmetric
 from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.messages import DIAGONAL, EvaluationMessage, TermsMessage
-from sylpose.relative_pose.camera_evidence import MAX_EXCESS, CameraEvidence
+from sylpose.relative_pose.camera_evidence import MAX_EXCESS, MIN_SIGMA_PX, CameraEvidence
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
-from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
 from sylpose.relative_pose.terms import TermData
 from sylpose.tracking.reports import (
     BoxMotionReport,
@@ -100,7 +99,7 @@ def _is_plausible(one: object, camera: int) -> bool:
         case CameraEvidence():
             if not one.n:
                 return bool(np.isnan(one.excess))
-            noise = SIGMA_FLOOR_PX <= one.own_px <= MAX_COUNT and 0.0 <= one.joint_px <= MAX_COUNT
+            noise = MIN_SIGMA_PX <= one.own_px <= MAX_COUNT and 0.0 <= one.joint_px <= MAX_COUNT
             return noise and MIN_EVIDENCE_MATCHES <= one.n <= MAX_COUNT and 0.0 <= one.excess <= MAX_EXCESS
         case LandmarkAges():
             return bool(one.counts.sum() < MAX_COUNT)

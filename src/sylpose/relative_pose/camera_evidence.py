@@ -42,7 +42,6 @@ from sylpose.relative_pose.limits import (
     MAX_STEPS,
     MIN_SHARE,
     ROUGHLY_CONVERGED_DECREASE,
-    SIGMA_FLOOR_PX,
 )
 from sylpose.relative_pose.terms import TermData, find_usable
 
@@ -60,6 +59,8 @@ N_NUISANCES = 8
 N_OWN, N_JOINT = 5, 6
 # A camera needs twice as many matches as unknowns to have a fit of its own (derived).
 MIN_MATCHES = 2 * N_OWN
+# Smallest noise of a camera, pixels: frozen images have none (choice).
+MIN_SIGMA_PX = 0.05
 # A camera's own motion begins with `MIN_SHARE` of its matches, those that the joint motion explains best: where other things
 # move, too, the object may have as few. Its inliers are within so many standard deviations (choice).
 MAX_SIGMAS = 3.0
@@ -260,7 +261,7 @@ def _measure_excess(
         if own[i] > 0.0:
             count += 1
             squares += residuals[i] ** 2
-    sigma = max(np.sqrt(squares / (count - N_OWN)), SIGMA_FLOOR_PX)
+    sigma = max(np.sqrt(squares / (count - N_OWN)), MIN_SIGMA_PX)
     effective = sigma * sigma * compute_design_effect(y, own, residuals)
     # Outliers that the own motion happens to explain are the worst of the joint one.
     joint = np.empty(len(x))
@@ -436,7 +437,7 @@ def _trim(
     else:
         sigma = SIGMA_OF_MEDIAN * compute_median(used[:count])
     for i in range(len(x)):
-        weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * max(sigma, SIGMA_FLOOR_PX) else 0.0
+        weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * max(sigma, MIN_SIGMA_PX) else 0.0
     return True
 
 
