@@ -24,9 +24,8 @@ from sylpose.relative_pose.limits import (
     CONVERGED_DECREASE,
     CUTOFF,
     HALF_DIGITS,
+    MAX_ROTATION_STEP,
     MAX_ROUNDS,
-    MAX_STEP,
-    MAX_STEPS,
     MIN_SHARE,
 )
 from sylpose.relative_pose.match_cost import (
@@ -48,10 +47,12 @@ UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
 # Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
 EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
-# Growing steps overshoot, and changing inliers cause cycles: steps are shortened by this factor where they grow, but not
-# below this share, and lengthen again by this factor (choice: with 2, steps of motions that are hardly determined do not
-# converge).
-STEP_SHRINK_FACTOR, MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.5, 0.1, 1.3
+# From this round on, steps are shortened more and more. They are also shortened by the second value where they grow, but not
+# below the third one, and lengthen again by the fourth one (choice: with 2, motions that are hardly determined do not
+# converge; without the third one, cameras keep a second motion).
+FULL_STEP_ROUNDS, STEP_SHRINK_FACTOR, MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 12, 0.5, 0.1, 1.3
+# Largest relative change of an inverse depth in one step (choice).
+MAX_DEPTH_CHANGE = 0.5
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
@@ -223,19 +224,17 @@ def run_constrained_irls(
         last_decrease, decrease = decrease, 0.5 * dot(step, right)
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
         growing = decrease > last_decrease and count > len(EARLY_CUTOFF_FACTORS) + 1
-        length = min(
-            max(STEP_SHRINK_FACTOR * length, MIN_STEP_LENGTH) if growing else STEP_GROWTH_FACTOR * length,
-            1.0,
-            MAX_STEPS / count,
-        )
+        length = max(STEP_SHRINK_FACTOR * length, MIN_STEP_LENGTH) if growing else min(STEP_GROWTH_FACTOR * length, 1.0)
+        if count > FULL_STEP_ROUNDS:
+            length = min(length, FULL_STEP_ROUNDS / count)
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-        length_now = length * min(1.0, MAX_STEP / max(angle, 1e-300))
+        length_now = length * min(1.0, MAX_ROTATION_STEP / max(angle, 1e-300))
         for t in range(n):
             # Keep the object in front of its cameras.
             depth_change = gains[t, 0, 7]
             for j in range(7):
                 depth_change -= gains[t, 0, j] * step[j]
-            length_now = min(length_now, MAX_STEP * abs(depth_model[t, 0]) / max(abs(depth_change), 1e-300))
+            length_now = min(length_now, MAX_DEPTH_CHANGE * abs(depth_model[t, 0]) / max(abs(depth_change), 1e-300))
         apply_step(fit.candidate, fit.distance_offset, step, gains, length_now)
         for t in range(n):
             work.mass[t] = compute_sum(fit.weights[stack.offsets[t] : stack.offsets[t + 1]])

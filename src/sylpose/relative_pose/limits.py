@@ -18,12 +18,10 @@ CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
 # A fit whose last step was one standard deviation long has not converged, and its planar part needs no more: half of the
 # square (derived).
 DECREASE_OF_ONE_SD = 0.5
-# Maximum number of rounds of a solver; of one that needs no more than a start for another, or a camera's own motion, and
-# of full steps of the others, whose later ones are shorter and shorter (choice).
+# Maximum number of rounds of a solver, and of one that finds a start for another, or a camera's own motion (choice).
 MAX_ROUNDS, MAX_STEPS = 40, 20
-# Largest rotation of a step, radians, and relative change of an inverse depth: the range in which the derivatives are valid
-# (choice).
-MAX_STEP = 0.3
+# Largest rotation of a step, radians: the range in which the derivatives are valid (choice).
+MAX_ROTATION_STEP = 0.3
 # What exceeds so many standard deviations is no chance (choice): an error, or the number of matches that moved (at 3, 5 of
 # 30 static scenes of 20 matches are taken for moving ones, at 5 two). As the cutoff of Tukey's bisquare it is 94 %
 # efficient with Gaussian noise in two directions, whose squared length is chi-squared with two degrees of freedom. Hidden

@@ -33,8 +33,8 @@ from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, ker
 from sylpose.relative_pose.limits import (
     DECREASE_OF_ONE_SD,
     HALF_DIGITS,
+    MAX_ROTATION_STEP,
     MAX_ROUNDS,
-    MAX_STEP,
     MAX_STEPS,
     ROUGHLY_CONVERGED_DECREASE,
 )
@@ -223,9 +223,9 @@ def descend(
         for _ in range(MAX_ROUNDS):
             if _solve_step(damping, work):
                 length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-                if length > MAX_STEP:
+                if length > MAX_ROTATION_STEP:
                     for i in range(6):
-                        step[i] *= MAX_STEP / length
+                        step[i] *= MAX_ROTATION_STEP / length
                 apply_rotvec(step[:3], candidate.rotation, trial.rotation)
                 new, decrease = 0.0, 0.5 * dot(step, right)
                 for i in range(3):
