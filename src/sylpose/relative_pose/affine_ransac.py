@@ -7,7 +7,7 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import cholesky_solve, compute_median, kernel, leaf
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, SIGNIFICANCE, bisquare
-from sylpose.relative_pose.limits import CUTOFF, HALF_DIGITS, MAX_SAMPLES, MIN_SHARE
+from sylpose.relative_pose.limits import HALF_DIGITS, MAX_SAMPLES, MIN_SHARE
 
 # Distance from the affine epipolar constraint that perspective and noise explain, pixels (choice).
 SEED_THRESHOLD_PX = 1.0
@@ -15,6 +15,8 @@ SEED_THRESHOLD_PX = 1.0
 N_QUADRUPLES = int(np.ceil(np.log(SIGNIFICANCE) / np.log1p(-(MIN_SHARE**4))))
 # The same random quadruples each time (derived).
 QUADRUPLES = np.random.default_rng(0).random((N_QUADRUPLES, 4))
+# Cutoff of the deviation from an affine map along the epipolar line, in standard deviations of the bulk (choice).
+ALONG_CUTOFF = 6.0
 
 
 @kernel
@@ -215,6 +217,6 @@ def _drop_outliers_along_line(joint: FloatArray, weights: FloatArray, plane: Flo
         for i in range(n):
             kept[i] = 0.0
             if weights[i] > 0.0:
-                kept[i] = bisquare((along[i] / (CUTOFF * sigma + 1e-300)) ** 2)
+                kept[i] = bisquare((along[i] / (ALONG_CUTOFF * sigma + 1e-300)) ** 2)
     for i in range(n):
         weights[i] = 1.0 if kept[i] > 0.0 else 0.0
