@@ -37,12 +37,7 @@ from scipy.special import ndtri
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
-from sylpose.relative_pose.limits import (
-    MAX_ROUNDS,
-    MAX_STEPS,
-    MIN_SHARE,
-    ROUGHLY_CONVERGED_DECREASE,
-)
+from sylpose.relative_pose.limits import MAX_ROUNDS, MAX_STEPS, MIN_SHARE, ROUGHLY_CONVERGED_DECREASE
 from sylpose.relative_pose.terms import TermData, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:

@@ -50,10 +50,10 @@ from sylpose.relative_pose.observability import is_consistent
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into
 
-# Least weight for the comparison of neighbors; matches below may belong to another motion (choice).
-MIN_COMPARED_WEIGHT = 0.3
 # Number of image neighbors that a match's residual is compared with (choice).
 N_NEIGHBORS = 3
+# Least weight for the comparison; matches below may belong to another motion (choice).
+MIN_COMPARED_WEIGHT = 0.3
 # Residuals are correlated if their correlation exceeds zero by so many standard deviations, of about 1.3 (measured: 150
 # scenes of each of ten settings of benchmarks/nees.py with 120 matches per camera, 4.2 at most), and the second value: with
 # many matches, small calibration errors are detected too (choice).

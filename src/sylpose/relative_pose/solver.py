@@ -314,10 +314,10 @@ def _refine_from_alternatives(
 ) -> RefinedMinima | None:
     """Refit from the second planes of flat objects, the other minima, and the motion itself with other depths.
 
-    The noise that was found is kept. Flat objects and weakly observed motions depend on how curved
-    surfaces are assumed to be: they are also fitted as if as curved as the prior, and as if flat. A motion that does not
-    converge to itself from prior depth models depends on models and weights left by chance or by another motion: the
-    motion that it converges to counts as equally likely.
+    The noise that was found is kept. Flat objects and weakly observed motions depend on how curved surfaces are assumed to
+    be: they are also fitted as if as curved as the prior, and as if flat. A motion that does not converge to itself from
+    prior depth models depends on models and weights left by chance or by another motion: the motion that it converges to
+    counts as equally likely.
 
     Args:
         probabilities: (N,) the probability of each match to belong to the motion.

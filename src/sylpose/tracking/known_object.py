@@ -398,13 +398,13 @@ def _align_world(
     """
     names = [name for name in rig.names if name in known._cameras]
     candidates = [RigidTransform.identity()]
-    # Landmarks' median errors are one or two pixels after a new calibration, tens after moving a camera by hand.
     candidates += [rig[name].camera_from_world.inv() * known.rig[name].camera_from_world for name in names]
     found = []
     for new_from_world in candidates:
         keyframes = tuple(transform_frame(frame, new_from_world) for frame in known._keyframes)
         errors_px = _compute_reprojection_errors(known, rig, keyframes, names)
         medians = _compute_median_errors(errors_px)
+        # One or two pixels after a new calibration, tens after moving a camera by hand.
         unchanged = tuple(name for name in names if medians[name] <= MAX_STATIC_PX)
         found.append(((-len(unchanged), sum(min(px, 1e6) for px in medians.values())), keyframes, unchanged, errors_px))
     # Keep the world frame unless another one is clearly better, as aligning one recalibrated camera alone gains
