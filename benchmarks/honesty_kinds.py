@@ -216,8 +216,8 @@ def _count_along(camera: Camera, points: FloatArray, axes: tuple[Span, Span] | N
     return camera.normalize(camera.denormalize(points) @ directions.T + first)
 
 
-def make_problem(name: str, seed: int) -> Problem:
-    """Make scene number `seed` of a kind, the same in every run."""
+def make_problem(name: str, seed: int, *, has_right_axes: bool = False) -> Problem:
+    """Make scene number `seed` of a kind, the same in every run; with the right axes of pixels if requested."""
     kind = MOTIONS[name] if name in MOTIONS else POSES[name]
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed])
     body = BODIES[str(rng.choice(kind.bodies))]
@@ -250,7 +250,7 @@ def make_problem(name: str, seed: int) -> Problem:
         return _make_pose_problem(kind, rig, true_rig, pair, start, body.radius, rng, faulty_camera)
     selected = [_select_matches(kind, len(m), rng) for m in pair.matches]
     matches = tuple(
-        Matches(*(_count_along(camera, points[k], kind.axes) for points in (m.x, m.y)))
+        Matches(*(_count_along(camera, points[k], None if has_right_axes else kind.axes) for points in (m.x, m.y)))
         for camera, m, k in zip(rig, pair.matches, selected, strict=True)
     )
     is_outlier = [w[k] for w, k in zip(pair.is_outlier, selected, strict=True)]

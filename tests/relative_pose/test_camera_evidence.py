@@ -20,10 +20,10 @@ from sylpose.relative_pose.camera_evidence import (
     MAX_F_RATIO,
     CameraEvidence,
     _fit_motion,
-    _linearize,
     _sampson,
     compare_motions,
     compute_f_ratio,
+    linearize_distances,
     transfer_motion,
 )
 from sylpose.relative_pose.solver import fit_terms
@@ -220,7 +220,7 @@ def test_derivatives_equal_differences() -> None:
         Rotation.random(rng=rng).as_matrix(),
     )
     essential, changes = essential_matrix(rotation, rng.standard_normal(3)), rng.standard_normal((4, 9))
-    distances, slopes = _linearize(x, y, np.ones(1), essential, changes)
+    distances, slopes = linearize_distances(x, y, np.ones(1), essential, changes)
     assert distances[0] == pytest.approx(_sampson(x, y, 0, essential), rel=1e-12)
     step = 1e-6
     for k, change in enumerate(changes):

@@ -36,7 +36,7 @@ class RobustResult(NamedTuple):
 def fit_stack(stack: Stack, usable: BoolArray | None = None, seed: int = 0) -> RobustResult:
     """Fit without additional initial motions."""
     all_usable = np.ones(len(stack.x), dtype=bool) if usable is None else usable
-    fit, _, iterations, decrease = draw_and_fit(
+    fit, _, iterations, decrease, _ = draw_and_fit(
         stack, all_usable, stack_initial_motions([]), np.random.default_rng(seed)
     )
     return RobustResult(fit, iterations, decrease)

@@ -273,7 +273,7 @@ def _measure_excess(
 
 
 @leaf
-def _cross_rows(vector: FloatArray, matrix: FloatArray, out: FloatArray) -> None:
+def cross_rows(vector: FloatArray, matrix: FloatArray, out: FloatArray) -> None:
     """Write [vector]x matrix to out (3, 3)."""
     for j in range(3):
         out[0, j] = vector[1] * matrix[2, j] - vector[2] * matrix[1, j]
@@ -287,7 +287,7 @@ def _compute_residuals(
 ) -> None:
     """Write the Sampson distances (n,), pixels."""
     essential = np.empty((3, 3))
-    _cross_rows(translation, rotation, essential)
+    cross_rows(translation, rotation, essential)
     for i in range(len(x)):
         residuals[i] = focal * _sampson(x, y, i, essential)
 
@@ -314,7 +314,7 @@ def _sampson(x: FloatArray, y: FloatArray, i: int, e: FloatArray) -> float:
 
 
 @kernel
-def _linearize(
+def linearize_distances(
     x: FloatArray, y: FloatArray, weights: FloatArray, e: FloatArray, derivatives: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the Sampson distances (n,) of the matches and their derivatives (n, k) along (k, 9) changes of E.
@@ -361,11 +361,11 @@ def _fit_motion(
     essential, derivatives = np.empty((3, 3)), np.empty((6, 3, 3))
     factor, step, turned, moved = np.empty((6, 6)), np.empty(6), np.empty((3, 3)), np.empty(3)
     for _ in range(MAX_STEPS):
-        _cross_rows(translation, rotation, essential)
+        cross_rows(translation, rotation, essential)
         for k in range(3):
-            _cross_rows(AXES[k], rotation, derivatives[3 + k])
-            _cross_rows(translation, derivatives[3 + k], derivatives[k])
-        distances, slopes = _linearize(x, y, weights, essential, derivatives.reshape(6, 9))
+            cross_rows(AXES[k], rotation, derivatives[3 + k])
+            cross_rows(translation, derivatives[3 + k], derivatives[k])
+        distances, slopes = linearize_distances(x, y, weights, essential, derivatives.reshape(6, 9))
         normal, gradient, cost = slopes.T @ slopes, slopes.T @ distances, dot(distances, distances)
         has_improved, least, new_cost = False, 1e-12 * np.trace(normal) + 1e-300, cost
         for _ in range(6):
@@ -396,7 +396,7 @@ def _sum_squares(
     x: FloatArray, y: FloatArray, weights: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> float:
     essential, total = np.empty((3, 3)), 0.0
-    _cross_rows(translation, rotation, essential)
+    cross_rows(translation, rotation, essential)
     for i in range(len(x)):
         if weights[i] > 0.0:
             total += _sampson(x, y, i, essential) ** 2
@@ -468,21 +468,21 @@ def _marginalize_calibration(
 ) -> tuple[float, float]:
     """Return the sum of squares about the joint motion, and its least cost over calibration errors, to first order."""
     essential, derivatives = np.empty((3, 3)), np.zeros((N_NUISANCES, 3, 3))
-    _cross_rows(translation, rotation, essential)
+    cross_rows(translation, rotation, essential)
     # Both images turn with the camera, E' = exp(δ) E exp(-δ), or the second alone; the focal length scales the first two
     # coordinates. Of another share of the motion R turns as well; the length of E does not matter.
     rotvec, turned = np.empty(3), np.empty((3, 3))
     so3_log(rotation, rotvec)
-    _cross_rows(rotvec, rotation, turned)
-    _cross_rows(translation, turned, derivatives[7])
+    cross_rows(rotvec, rotation, turned)
+    cross_rows(translation, turned, derivatives[7])
     for k in range(3):
-        _cross_rows(AXES[k], essential, derivatives[4 + k])
-        _cross_rows(AXES[k], essential.T.copy(), turned)
+        cross_rows(AXES[k], essential, derivatives[4 + k])
+        cross_rows(AXES[k], essential.T.copy(), turned)
         derivatives[k] = derivatives[4 + k] + turned.T
     for a in range(3):
         for b in range(3):
             derivatives[3, a, b] = ((a < 2) + (b < 2)) * essential[a, b]
-    distances, slopes = _linearize(x, y, weights, essential, derivatives.reshape(N_NUISANCES, 9))
+    distances, slopes = linearize_distances(x, y, weights, essential, derivatives.reshape(N_NUISANCES, 9))
     squares, scale = focal * focal * dot(distances, distances), focal * focal / variance
     normal, gradient = scale * (slopes.T @ slopes), scale * (slopes.T @ distances)
     for a in range(N_NUISANCES):

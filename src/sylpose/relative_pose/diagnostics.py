@@ -10,7 +10,12 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
 from sylpose.relative_pose.irls import IrlsFit, has_uniform_residuals
 from sylpose.relative_pose.limits import MOST
-from sylpose.relative_pose.motion_mixture import correlate_neighbors, has_static_candidates, is_mixed
+from sylpose.relative_pose.motion_mixture import (
+    correlate_neighbors,
+    has_static_candidates,
+    is_mixed,
+    measure_dependence,
+)
 from sylpose.relative_pose.observability import is_collinear, is_static
 from sylpose.relative_pose.terms import Stack
 from sylpose.relative_pose.uncertainty import compute_size_if_curved
@@ -29,7 +34,7 @@ class FitDiagnostics(NamedTuple):
         has_soft_assignment: whether some matches are assigned to the motion with uncertainty.
         may_be_curved: whether the valley of the cost may be curved (`has_weak_direction`).
         may_be_static: whether the motion may be zero, if the valley is straight (`is_static`).
-
+        dependence: of the residuals on the motion (`measure_dependence`).
         is_mixed: whether neighboring residuals are correlated (`is_mixed`).
         information, information_without_depth: (6, 6) without the part that noise alone causes. The covariance is that
             of Student's distribution, as the noise is estimated.
@@ -44,7 +49,7 @@ class FitDiagnostics(NamedTuple):
     has_soft_assignment: bool
     may_be_curved: bool
     may_be_static: bool
-
+    dependence: float
     is_mixed: bool
     information: FloatArray
     information_without_depth: FloatArray
@@ -78,7 +83,8 @@ def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: Float
     certain, uniform = inliers >= MOST * usable_count, has_uniform_residuals(fit.weights)
     background = has_static_candidates(stack, usable)
     collinear = is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3)))
-    shape = background, collinear, soft_assignment, curved, is_static(stack, fit, information), mixed
+    static, dependence = is_static(stack, fit, information), measure_dependence(stack, fit)
+    shape = background, collinear, soft_assignment, curved, static, dependence, mixed
     uniform = uniform and not soft_assignment
     return FitDiagnostics(inliers, finite, certain, uniform, *shape, information, without_depth)
 

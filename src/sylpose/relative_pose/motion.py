@@ -124,7 +124,7 @@ def _estimate(
         return Solution(fit_terms(terms, g, size, guess, rng, units.sigma), g, size)
 
     solution = solve(data)
-    solution, second_body_ratio = select_larger_body(data, solution, solve, units.sigma) or (solution, 0.0)
+    solution, second_body_ratio = select_larger_body(data, solution, rig, solve, units.sigma) or (solution, 0.0)
     if second_body_ratio == 0.0 and solution.fit.status is not Status.TOO_FEW_MATCHES:
         solution = solve_without_faulty_cameras(data, solution, rig, solve)
     if method in ESTIMATORS and solution.fit.status is Status.OK:

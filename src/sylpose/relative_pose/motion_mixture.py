@@ -4,14 +4,20 @@ Two adjacent bodies that move nearly alike can be explained by one motion and a 
 slightly too large, which a robust weight does not detect. But residuals across epipolar lines are independent noise,
 whereas a wrong motion causes similar errors for neighbors (`correlate_neighbors`).
 
+Or they are interleaved, and a motion between the two explains most matches by a larger noise. Each camera's own motion then
+does as well. But a match's residual is the larger, the more the difference of the two motions moves it: the squares of the
+residuals depend on the derivatives by the motion, which noise does not (`measure_dependence`). The direction in which they
+depend most on it and the signs of the residuals divide the matches (`divide_inliers`).
+
 If both motions are known, many matches of one are near the epipolar lines of the other. Each match is then assigned to
 one of them with a probability (`fit_motion_mixture`).
 
 If an object moves by a few pixels, static matches are near the epipolar lines of its motion, too. Each match is then
 static with some probability, and the motion is fitted to the others (`split_background`).
 
-Source: contiguity, Moran, Biometrika 37, 1950; mixtures by expectation maximization, McLachlan & Krishnan, "The EM
-Algorithm and Extensions", chapters 2 and 4.
+Source: contiguity, Moran, Biometrika 37, 1950; varying coefficients, White, Econometrica 48, 1980, Koenker, Journal of
+Econometrics 17, 1981 (for noise that is not normal), Chesher, Econometrica 52, 1984; mixtures by expectation maximization,
+McLachlan & Krishnan, "The EM Algorithm and Extensions", chapters 2 and 4.
 """
 
 from __future__ import annotations
@@ -20,10 +26,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import eigh
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.numba_linalg import kernel, so3_exp, so3_log
+from sylpose.geometry.numba_linalg import cholesky_solve, dot, kernel, so3_exp, so3_log
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import MAX_STATIC_PX
+from sylpose.relative_pose.camera_evidence import cross_rows, linearize_distances
 from sylpose.relative_pose.irls import (
     MISMATCH_RANGE,
     IrlsFit,
@@ -48,7 +57,7 @@ from sylpose.relative_pose.match_cost import (
 )
 from sylpose.relative_pose.observability import is_consistent
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
-from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into
+from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into, transform_to_camera
 
 # Number of image neighbors that a match's residual is compared with (choice).
 N_NEIGHBORS = 3
@@ -62,6 +71,10 @@ MIN_CORRELATION_SIGMAS, MIN_CORRELATION = 5.0, 0.15
 # two bodies is more frequent, and this is sufficient (measured: of 7,508 right answers 13 that are weakly observed are
 # beyond, of 82 wrong ones 16).
 MIN_SIGMAS_UNCERTAIN = 2.5
+# Products of two of the six unknowns of a motion (derived).
+N_PRODUCTS = 21
+# The squares of residuals depend on the motion beyond this (chi-squared, once in a hundred times).
+MAX_DEPENDENCE = chi_squared_bound(N_PRODUCTS, 0.01)
 # Largest change of an assignment at convergence; one motion's noise is at least this share of the other's, or of the static
 # matches' (choice).
 CONVERGED_CHANGE, MIN_SIGMA_RATIO = 0.02, 0.9
@@ -167,6 +180,97 @@ def compute_cost(stack: Stack, usable: BoolArray, density: FloatArray) -> float:
     return cost
 
 
+@kernel
+def _linearize_inliers(stack: Stack, fit: IrlsFit) -> tuple[FloatArray, FloatArray]:
+    """Return the epipolar residuals (N,) in units of their rms in each term, and their derivatives (N, 6) by the motion.
+
+    Both are 0 for outliers.
+    """
+    residuals, slopes = np.zeros(len(stack.x)), np.zeros((len(stack.x), 6))
+    rc, tc, rotated_center, axis, moved = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    essential, part, derivatives = np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 3, 3))
+    for t in range(len(stack.focal)):
+        first, last, q = stack.offsets[t], stack.offsets[t + 1], stack.qy[t]
+        transform_to_camera(stack, t, fit.candidate, rc, tc, rotated_center)
+        cross_rows(tc, rc, essential)
+        for k in range(3):
+            # A rotation about g moves the camera relative to the object.
+            axis[:] = q[:, k]
+            moved[0] = axis[1] * rotated_center[2] - axis[2] * rotated_center[1]
+            moved[1] = axis[2] * rotated_center[0] - axis[0] * rotated_center[2]
+            moved[2] = axis[0] * rotated_center[1] - axis[1] * rotated_center[0]
+            cross_rows(axis, rc, derivatives[3 + k])
+            cross_rows(tc, derivatives[3 + k], derivatives[k])
+            cross_rows(moved, rc, part)
+            derivatives[k] += part
+        x, y, weights = stack.x[first:last], stack.y[first:last], fit.weights[first:last]
+        residuals[first:last], slopes[first:last] = linearize_distances(
+            x, y, weights, essential, derivatives.reshape(6, 9)
+        )
+        count, squares = 0, 0.0
+        for i in range(first, last):
+            count += weights[i - first] > 0.0
+            squares += residuals[i] ** 2
+        rms = max(np.sqrt(squares / max(count, 1)), SIGMA_FLOOR_PX / stack.focal[t])
+        residuals[first:last] /= rms
+        slopes[first:last] /= rms
+    return residuals, slopes
+
+
+@kernel
+def measure_dependence(stack: Stack, fit: IrlsFit) -> float:
+    """Return White's test of a fit, chi-squared of `N_PRODUCTS` degrees of freedom if the residuals are noise.
+
+    It is n R² of a regression of the squares of n residuals on the products of their derivatives, each term with a mean of
+    its own; 0 with too few inliers.
+    """
+    residuals, slopes = _linearize_inliers(stack, fit)
+    products, squares, n = np.empty((len(residuals), N_PRODUCTS)), np.empty(len(residuals)), 0
+    for t in range(len(stack.focal)):
+        start = n
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if fit.weights[i] > 0.0:
+                squares[n], k = residuals[i] ** 2, 0
+                for a in range(6):
+                    for b in range(a + 1):
+                        products[n, k] = slopes[i, a] * slopes[i, b]
+                        k += 1
+                n += 1
+        if n > start:
+            squares[start:n] -= squares[start:n].mean()
+            for k in range(N_PRODUCTS):
+                products[start:n, k] -= products[start:n, k].mean()
+    if n <= N_PRODUCTS + len(stack.focal):
+        return 0.0
+    normal, right = products[:n].T @ products[:n], products[:n].T @ squares[:n]
+    for k in range(N_PRODUCTS):
+        # Units differ, and products may depend on each other.
+        scale = 1.0 / (np.sqrt(normal[k, k]) + 1e-300)
+        normal[k] *= scale
+        normal[:, k] *= scale
+        right[k] *= scale
+        normal[k, k] += HALF_DIGITS
+    solved = right.copy()
+    if not cholesky_solve(normal, solved):
+        return 0.0
+    return float(n * dot(right, solved) / (dot(squares[:n], squares[:n]) + 1e-300))
+
+
+def divide_inliers(stack: Stack, fit: IrlsFit) -> list[tuple[BoolArray, BoolArray]]:
+    """Divide the inliers of a fit in two (N,), along each of six directions of the motion.
+
+    On the first one their residuals depend most; two bodies may differ in another one.
+    """
+    residuals, slopes = _linearize_inliers(stack, fit)
+    excess, total = slopes.T @ ((residuals**2 - 1.0)[:, None] * slopes), slopes.T @ slopes
+    if not np.diag(total).min() > 0.0:
+        return []
+    _, directions = eigh(excess, total + HALF_DIGITS * np.diag(np.diag(total)))
+    inliers = fit.weights > 0.0
+    firsts = [inliers & (residuals * (slopes @ v) > 0.0) for v in directions[:, ::-1].T]
+    return [(first, inliers & ~first) for first in firsts]
+
+
 class MotionMixture(NamedTuple):
     """Mixture of two motions.
 
@@ -186,13 +290,17 @@ class MotionMixture(NamedTuple):
 
 
 def fit_motion_mixture(
-    stack: Stack, starts: Sequence[tuple[FloatArray, FloatArray]], inliers: Sequence[BoolArray]
+    stack: Stack,
+    starts: Sequence[tuple[FloatArray, FloatArray]],
+    inliers: Sequence[BoolArray],
+    max_rounds: int = MAX_ROUNDS,
 ) -> MotionMixture:
     """Fit a mixture of two motions by expectation maximization.
 
     Args:
         starts: two motions (R, d).
         inliers: (N,) their inliers, which may overlap.
+        max_rounds: of expectation maximization; few suffice to compare starts.
     """
     fits, probabilities = (make_empty_irls_fit(stack), make_empty_irls_fit(stack)), np.zeros((2, len(stack.x)))
     decreases, iterations = [np.inf, np.inf], 0
@@ -201,7 +309,7 @@ def fit_motion_mixture(
         iterations += run_irls(stack, (own_inliers & ~inliers[1 - k]).astype(float), fits[k], SIGMA_FLOOR_PX)[0]
     shares, all_usable = np.full(2, 0.5), np.ones(len(stack.x), dtype=bool)
     mismatch_density = MISMATCH_PROBABILITY * compute_mismatch_density(stack)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(max_rounds):
         densities = [compute_motion_density(stack, f) for f in fits]
         joint = np.stack([s * (1.0 - MISMATCH_PROBABILITY) * d for s, d in zip(shares, densities, strict=True)])
         previous, probabilities = probabilities, joint / (joint.sum(axis=0) + mismatch_density)
@@ -315,7 +423,7 @@ def split_background(
     starts, iterations = [single] if has_single else [], 0
     moves = usable & (static_probability < 0.5)
     if moves.sum() >= MIN_MOVING_MATCHES:
-        fit, _, iterations, _ = draw_and_fit(stack, moves, guesses, rng)
+        fit, _, iterations, *_ = draw_and_fit(stack, moves, guesses, rng)
         starts = [fit, *starts] if fit.weights.any() else starts
     mixtures = [_fit_mixture(stack, usable, start, squared_px, sigma, static_probability) for start in starts]
     mixtures = [mixture for mixture in mixtures if _is_valid_mixture(stack, usable, mixture)]
@@ -329,7 +437,7 @@ def split_background(
     alone = compute_motion_density(stack, single) if has_single else _compute_static_density(squared_px, best.sigma)
     total_gain = compute_cost(stack, usable, alone) - best.cost
     result = RobustFit(
-        best.fit, RefinedMinima(rotations, translations, costs, counts), iterations, best.predicted_decrease
+        best.fit, RefinedMinima(rotations, translations, costs, counts), iterations, best.predicted_decrease, False
     )
     return BackgroundSplit(result, best.moving_probability, total_gain)
 

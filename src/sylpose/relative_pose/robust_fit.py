@@ -54,12 +54,14 @@ class RobustFit(NamedTuple):
         minima: all refined minima.
         iterations: of the solver.
         decrease: the predicted decrease of its last step (`run_irls`), infinite without a fit.
+        is_noisy: whether the noise of a camera reaches the bound that its seeds set: two motions may be fitted as one.
     """
 
     fit: IrlsFit
     minima: RefinedMinima
     iterations: int
     decrease: float
+    is_noisy: bool
 
 
 @kernel
@@ -115,8 +117,8 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         for i in range(len(seeds)):
             seeds[i] = 1.0 if fit.weights[i] > 0.0 else 0.0
         sigma_px[:] = fit.sigma_px
+    max_sigma = MAX_SIGMA_GROWTH * first_sigma.max()
     if best < np.inf:
-        max_sigma = MAX_SIGMA_GROWTH * first_sigma.max()
         done, new_decrease, cost = _refit_with_more_noise(stack, usable, fit, max_sigma, best, trial)
         iterations += done
         if cost < best:
@@ -124,7 +126,8 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
             _copy_fit(fit, trial)
             refined.rotations[k], refined.translations[k] = fit.candidate.rotation, fit.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (fit.weights > 0.0).sum()
-    return RobustFit(fit, refined, iterations, decrease)
+    is_noisy = best < np.inf and bool((fit.sigma_px > (1.0 - HALF_DIGITS) * max_sigma).any())
+    return RobustFit(fit, refined, iterations, decrease, is_noisy)
 
 
 @kernel

@@ -1,9 +1,12 @@
-"""Detection of a second moving body among the outliers of a fit: selects the larger body and reports the ratio.
+"""Detection of a second moving body: selects the larger one and reports the ratio.
 
-The outliers of the robust fit are mismatches, with arbitrary displacements, or another body, whose neighbors move
-alike. In the second case a motion is fitted to the outliers, and each motion again to all matches that are not
-inliers of the other. The motion with more matches is taken as the object's. If both have nearly as many, the result is
-ambiguous.
+The fit of a single motion leaves the matches of one of them, outliers whose neighbors move alike. Or its inliers are those
+of both, and their residuals depend on the motion (`motion_mixture.measure_dependence`). Both kinds of division are starts of
+a mixture of two motions. It is right if it is likelier than a single motion by more than its unknowns cost, and if the
+cameras agree on each of the motions. The larger body is taken as the object; if both have nearly as many matches, the
+result is ambiguous.
+
+Source: G. Schwarz, Annals of Statistics 6, 1978 (what unknowns cost); docs/method/3-pose.md.
 """
 
 from __future__ import annotations
@@ -16,86 +19,141 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.faulty_cameras import solve_subset
-from sylpose.relative_pose.limits import MAX_SAMPLES, MISMATCH_PROBABILITY
-from sylpose.relative_pose.solver import fit_two_motions
-from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
+from sylpose.relative_pose.camera_evidence import MIN_REDUCTION, compute_f_ratio, measure_excess
+from sylpose.relative_pose.faulty_cameras import MAX_CONSISTENT_EXCESS, solve_subset
+from sylpose.relative_pose.limits import MAX_SAMPLES
+from sylpose.relative_pose.rig_hypotheses import find_pixel_axes
+from sylpose.relative_pose.solver import Division, Hypothesis, TwoMotions, divide_inliers, fit_two_motions
+from sylpose.relative_pose.terms import MIN_MATCHES, Fit, Solution, TermData, TermSolver
+from sylpose.rig import Rig
 from sylpose.status import Status
 
-# Outliers are examined if they are more than this share of the inliers, in at least two cameras; a camera sees both
-# bodies if each has more than this share of its matches. A second body has more than the second share (choice).
-MIN_OUTLIER_RATIO, MIN_BODY_RATIO = 0.1, 0.25
-# Neighbors move alike if their displacements differ by less than this share of the difference between any two matches,
-# in the median: mismatches have about 1 ± 0.2 (choice).
+# Outliers are examined if they are more than this share of the inliers, in at least two cameras; a camera sees both bodies
+# if each has more than this share of its matches (choice).
+MIN_OUTLIER_RATIO = 0.1
+# Neighbors move alike if their displacements differ by less than this share of the difference between any two matches, in
+# the median: mismatches have about 1 ± 0.2 (choice).
 MAX_NEIGHBOR_RATIO = 0.5
+# Two motions are likelier than one by this multiple of what their unknowns cost: those of a wrong rig, whose cameras see
+# different motions, by up to two, those of two bodies by 2.7 or more (choice).
+MIN_GAIN_RATIO = 2.0
 # A body with more than this share of the other's matches might be the object as well (choice).
 AMBIGUOUS_RATIO = 0.8
 
 
 def select_larger_body(
-    data: Sequence[TermData], solution: Solution, solve: TermSolver, min_sigma_px: float = 0.0
+    data: Sequence[TermData], solution: Solution, rig: Rig, solve: TermSolver, min_sigma_px: float = 0.0
 ) -> tuple[Solution, float] | None:
-    """Return the solution of the larger of two bodies, of which one is among a solution's outliers.
+    """Return the solution of the larger of two bodies, of which one is in a solution's outliers, or both are its inliers.
 
     Args:
         data: the terms of the solution, all in one reference frame.
         solution: the solution.
+        rig: their cameras.
         solve: solver for a subset of the terms.
         min_sigma_px: lower bound of the noise, pixels.
 
     Returns:
-        the solution of the larger body; the other's inliers over its own. None without another body.
+        the solution of the larger body; the other's inliers over its own. Without a motion on which the cameras agree, the
+        solution itself, marked as mixed, and 0. None without another body.
     """
-    weights = solution.fit.weights
-    inliers = [w > 0 for w in weights]
-    if sum(len(t) for t in data) < (1.0 + MIN_OUTLIER_RATIO) * _count_true(inliers):
+    two = _fit_bodies(data, solution, rig, solve, min_sigma_px)
+    if two is None:
         return None
-    outliers = [_find_moving_outliers(t.x, t.y, STATIC_PX / t.focal, w) for t, w in zip(data, weights, strict=True)]
+    counts = np.array([[p.sum() for p in parts] for parts in two.probabilities])
+    # A faulty camera has most of its matches on one side; a second body must share those of at least two cameras.
+    is_shared = counts.min(axis=0) > MIN_OUTLIER_RATIO * counts.sum(axis=0)
+    if np.count_nonzero(is_shared) < min(2, len(data)):
+        return None
+    own, other = ([p > 0.5 for p in part] for part in two.probabilities)
+    fit = solution.fit
+    # A background is no body.
+    if min(_measure_displacement(data, masks) for masks in (own, other)) <= STATIC_PX:
+        return None
+    is_likely = two.likelihood_gain > MIN_GAIN_RATIO * two.expected_gain
+    if not (is_likely and _agree(data, own, solution.center, two.fit)):
+        # Robust against a smaller body, the single motion may be right nevertheless.
+        is_right = not fit.is_varying and _agree(data, [w > 0.0 for w in fit.weights], solution.center, fit)
+        return None if is_right else (solution._replace(fit=replace(fit, is_mixed=True)), 0.0)
+    larger, smaller = counts.sum(axis=1).tolist()
+    alternative, alone = two.fit.alternative, solve_subset(data, own, solve)
+    if smaller > AMBIGUOUS_RATIO * larger:
+        alternative = two.other
+    elif alone is not None and alone.fit.alternative is not None:
+        alternative = _move(alone.fit.alternative, alone.center, solution.center)
+    return solution._replace(fit=replace(two.fit, alternative=alternative)), smaller / larger
+
+
+def _fit_bodies(
+    data: Sequence[TermData], solution: Solution, rig: Rig, solve: TermSolver, min_sigma_px: float
+) -> TwoMotions | None:
+    """Fit two motions; None if they are no likelier than one, or if other axes of pixels explain the matches."""
+    fit, center = solution.fit, solution.center
+
+    def fit_two(divisions: Sequence[Division]) -> TwoMotions | None:
+        two = fit_two_motions(data, solution, divisions, min_sigma_px) if divisions else None
+        return two if two is not None and two.likelihood_gain > two.expected_gain else None
+
+    first, two = fit_two(_divide_outliers(data, solution, solve)), None
+    if fit.is_varying and fit.status is not Status.NO_MOTION:
+        two = fit_two(divide_inliers(data, solution, min_sigma_px))
+    if two is None or (first is not None and first.likelihood_gain >= two.likelihood_gain):
+        return first
+    excess, _ = measure_excess(data, center, fit.rotation, fit.translation)
+    if len(data) > 2 and find_pixel_axes(rig, data, excess):
+        return None
+    # The mixture may be at a local maximum: search the motions of its parts.
+    parts = [solve_subset(data, [p > 0.5 for p in own], solve) for own in two.probabilities]
+    motions = [_move((p.fit.rotation, p.fit.translation), p.center, center) for p in parts if p is not None]
+    masks = [np.concatenate(p.fit.weights) > 0.0 for p in parts if p is not None]
+    if len(motions) < len(parts):
+        return two
+    again = fit_two([Division((motions[0], motions[1]), (masks[0], masks[1]))])
+    return again if again is not None and again.likelihood_gain > two.likelihood_gain else two
+
+
+def _agree(data: Sequence[TermData], masks: Sequence[BoolArray], center: FloatArray, fit: Fit) -> bool:
+    """Return whether the cameras agree on the motion of the masked matches; of several, two must have evidence."""
+    kept = [term.subset(mask) for term, mask in zip(data, masks, strict=True)]
+    excess, _ = measure_excess(kept, center, fit.rotation, fit.translation)
+    known = excess[np.isfinite(excess)]
+    # With many cameras one may exceed the bound: assigned matches are cut off where the other body begins.
+    is_small = float(np.max(known, initial=0.0)) <= MAX_CONSISTENT_EXCESS
+    return len(known) >= min(2, len(data)) and (is_small or compute_f_ratio(excess, len(excess)) <= MIN_REDUCTION)
+
+
+def _measure_displacement(data: Sequence[TermData], masks: Sequence[BoolArray]) -> float:
+    """Return the median displacement of the masked matches, pixels."""
+    parts = [term.focal * np.linalg.norm(term.y[m] - term.x[m], axis=1) for term, m in zip(data, masks, strict=True)]
+    return float(np.median(np.concatenate(parts)))
+
+
+def _move(motion: Hypothesis, center: FloatArray, new_center: FloatArray) -> Hypothesis:
+    """Return a motion (R, d) about another center."""
+    rotation, translation = motion
+    return rotation, translation + (rotation - np.eye(3)) @ (new_center - center)
+
+
+def _divide_outliers(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> list[Division]:
+    """Divide the matches into the inliers and a motion of the outliers, if there is one."""
+    fit = solution.fit
+    inliers = [w > 0 for w in fit.weights]
+    min_count = MIN_OUTLIER_RATIO * _count_true(inliers)
+    if sum(map(len, data)) < _count_true(inliers) + min_count:
+        return []
+    outliers = [_find_moving_outliers(t.x, t.y, STATIC_PX / t.focal, w) for t, w in zip(data, fit.weights, strict=True)]
     # A camera whose matches are all outliers is faulty and no evidence of a second body.
     for mask, inlier in zip(outliers, inliers, strict=True):
         if inlier.sum() < MIN_MATCHES or mask.sum() < MIN_MATCHES:
             mask[:] = False
-    min_cameras, min_count = min(2, len(data)), MIN_OUTLIER_RATIO * _count_true(inliers)
-    if sum(bool(m.any()) for m in outliers) < min_cameras or _count_true(outliers) < min_count:
-        return None
-    second = _solve_motion(data, outliers, solve) if _is_coherent(data, outliers) else None
-    if second is None or not _count_true([w > 0 for w in second.fit.weights]) > min_count:
-        return None
-    # Reassign matches that are inliers of the other fit by mistake.
-    first = _solve_motion(data, [~(w > 0) for w in second.fit.weights], solve)
-    if first is None:
-        return None
-    first_inliers = [w > 0 for w in first.fit.weights]
-    changed = _count_true([a != b for a, b in zip(first_inliers, inliers, strict=True)])
-    # If the first motion keeps its matches but for mismatches, the second keeps its own.
-    if changed > MISMATCH_PROBABILITY * _count_true(inliers):
-        second = _solve_motion(data, [~m for m in first_inliers], solve) or second
-    counts = [_count_true([w > 0 for w in s.fit.weights]) for s in (first, second)]
-    larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)
-    # Both were solved about their own centers: express them about the same one.
-    translation = smaller.fit.translation + (smaller.fit.rotation - np.eye(3)) @ (larger.center - smaller.center)
-    other = replace(smaller.fit, translation=translation)
-    mixture = fit_two_motions(data, larger.center, larger.radius, larger.fit, other, min_sigma_px)
-    share = min(counts) / max(counts)
-    if mixture is not None and mixture[0].status is Status.OK and not mixture[0].is_mixed:
-        larger, probabilities = larger._replace(fit=mixture[0]), mixture[1]
-        share = float(probabilities[1].sum() / probabilities[0].sum())
-        # A faulty camera has most of its matches on one side; a second body must share those of at least two cameras.
-        is_shared = probabilities.min(axis=0) > MIN_OUTLIER_RATIO * probabilities.sum(axis=0)
-        has_second_body = int(is_shared.sum()) >= min_cameras
-    else:
-        has_second_body = _count_true(outliers) > MIN_BODY_RATIO * _count_true(inliers)
-    if not has_second_body or share < MIN_BODY_RATIO:
-        return None
-    if share > AMBIGUOUS_RATIO:
-        larger = larger._replace(fit=replace(larger.fit, alternative=(smaller.fit.rotation, translation)))
-    return larger, share
-
-
-def _solve_motion(data: Sequence[TermData], masks: Sequence[BoolArray], solve: TermSolver) -> Solution | None:
-    """Solve with the masked matches; None without a motion."""
-    solution = solve_subset(data, masks, solve)
-    return solution if solution is not None and solution.fit.status is not Status.NO_MOTION else None
+    if _count_true(outliers) < max(min_count, MIN_MATCHES) or not _is_coherent(data, outliers):
+        return []
+    second = solve_subset(data, outliers, solve)
+    if second is None:
+        return []
+    other = _move((second.fit.rotation, second.fit.translation), second.center, solution.center)
+    masks = np.concatenate(inliers), np.concatenate(second.fit.weights) > 0
+    return [Division(((fit.rotation, fit.translation), other), masks)]
 
 
 def _is_coherent(data: Sequence[TermData], outliers: Sequence[BoolArray]) -> bool:

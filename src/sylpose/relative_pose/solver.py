@@ -26,13 +26,16 @@ from sylpose.relative_pose.camera_evidence import (
     pool_f_ratios,
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
-from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
+from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, SIGMA_FLOOR_PX
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import (
+    DEPTH_MODEL_SIZE,
     MIN_MATCHES,
     Candidate,
     Fit,
+    InitialMotions,
+    Solution,
     Stack,
     TermData,
     find_usable,
@@ -49,6 +52,9 @@ Information = tuple[FloatArray, FloatArray]
 
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
+# Number of fits to permuted matches, and the factor by which the log-likelihood, relative to mismatches, exceeds the best of
+# them (choice: they differ by a third; right motions of 12 to 40 matches have at least 2.2).
+N_PERMUTED_FITS, CHANCE_LIKELIHOOD_FACTOR = 3, 2.0
 
 
 class _Problem(NamedTuple):
@@ -127,10 +133,32 @@ def fit_terms(
     if split is not None:
         minima = uncertainty.merge_minima(result.minima, split.rebase_minima(float(result.minima.costs.min())))
         result = result._replace(minima=minima)
-    agrees = checks.has_certain_inliers or observability.is_consistent(stack, usable, result.fit)
-    if checks.has_uniform_residuals or not agrees:
+    if checks.has_uniform_residuals or not _exceeds_chance(problem, result, checks, starts, rng):
         return problem.fail(Status.NOT_CONSISTENT)
     return replace(_build_fit(problem, result, all_usable, checks, motion_factor), iterations=int(result.iterations))
+
+
+def _exceeds_chance(
+    problem: _Problem, result: RobustFit, checks: FitDiagnostics, starts: InitialMotions, rng: np.random.Generator
+) -> bool:
+    """Return whether the matches agree with the fit better than mismatches would.
+
+    If their number is no certain evidence, the likelihood is compared with that of fits to permuted matches, of which any
+    is chance.
+    """
+    stack, usable = problem.stack, problem.usable
+    has_many = observability.is_more_than_chance(checks.inliers, 0.0, N_MOTION)
+    if has_many and (checks.has_certain_inliers or observability.is_consistent(stack, usable, result.fit)):
+        return True
+    costs = list[float]()
+    for k in range(1, N_PERMUTED_FITS + 1):
+        y = stack.y.copy()
+        for first, last in pairwise(stack.offsets.tolist()):
+            # Neighbors in the list may be neighbors in the image.
+            y[first:last] = np.roll(y[first:last], max(1, k * (last - first) // (N_PERMUTED_FITS + 1)), axis=0)
+        permuted = draw_and_fit(stack._replace(y=y), usable, starts, rng)
+        costs.append(float(permuted.minima.costs.min()))
+    return float(result.minima.costs.min()) < CHANCE_LIKELIHOOD_FACTOR * min(*costs, 0.0)
 
 
 def _is_all_static(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
@@ -139,31 +167,93 @@ def _is_all_static(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
     return may_be_static and not motion_mixture.has_moving_matches(stack, usable, single)
 
 
+class Division(NamedTuple):
+    """Start of a fit of two motions.
+
+    Attributes:
+        motions: (R, d) of both, which may be the same.
+        masks: (N,) the matches of each.
+    """
+
+    motions: tuple[Hypothesis, Hypothesis]
+    masks: tuple[BoolArray, BoolArray]
+
+
+class TwoMotions(NamedTuple):
+    """Fit of two motions of the same terms as a mixture, with soft assignment of matches.
+
+    Attributes:
+        fit: of the one with more matches.
+        other: (R, d) of the other.
+        probabilities: per motion and term (n,), the probability of each match to belong to it.
+        likelihood_gain: over the single motion.
+        expected_gain: what the unknowns of a second motion are worth, Schwarz's criterion.
+    """
+
+    fit: Fit
+    other: Hypothesis
+    probabilities: tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]
+    likelihood_gain: float
+    expected_gain: float
+
+
+def divide_inliers(data: Sequence[TermData], single: Solution, min_sigma_px: float = 0.0) -> list[Division]:
+    """Divide the inliers of a single motion in two, in several ways (`motion_mixture.divide_inliers`)."""
+    stack, (fit, *_) = stack_terms(data, single.center, single.radius, min_sigma_px), single
+    motion, masks = (fit.rotation, fit.translation), motion_mixture.divide_inliers(stack, _refit(stack, fit))
+    return [Division((motion, motion), parts) for parts in masks]
+
+
+def _refit(stack: Stack, fit: Fit) -> IrlsFit:
+    """Return the re-weighted fit to all matches from a motion and its noise."""
+    squares = [r[w > 0.0] ** 2 for r, w in zip(fit.residuals, fit.weights, strict=True)]
+    sigma_px = np.sqrt([square.mean() if len(square) else 1.0 for square in squares])
+    start = make_irls_start(stack, Candidate(fit.rotation, fit.translation, stack.depth_model_mean), sigma_px)
+    run_irls(stack, np.ones(len(stack.x)), start, SIGMA_FLOOR_PX)
+    return start
+
+
 def fit_two_motions(
-    data: Sequence[TermData], center: FloatArray, radius: float, first: Fit, second: Fit, min_sigma_px: float = 0.0
-) -> tuple[Fit, FloatArray] | None:
-    """Fit two motions of the same terms as a mixture, about the same center, with soft assignment of matches.
+    data: Sequence[TermData], single: Solution, divisions: Sequence[Division], min_sigma_px: float = 0.0
+) -> TwoMotions | None:
+    """Fit two motions of the same terms as a mixture, about the center of a single one.
 
     Args:
-        data, center, radius, min_sigma_px: as for `fit_terms`.
-        first, second: fits of the two motions, used as starts.
+        data: T terms.
+        single: a single motion of them.
+        divisions: starts; the likeliest result counts, of the likelier half after a round.
+        min_sigma_px: lower bound of the noise, pixels.
 
     Returns:
-        the fit of the first motion; (2, T) how many matches of each term each motion has. None without convergence.
+        None without convergence.
     """
-    stack, fits = stack_terms(data, center, radius, min_sigma_px), (first, second)
-    inliers = [np.concatenate(f.weights) > 0 for f in fits]
-    mixture = motion_mixture.fit_motion_mixture(stack, [(f.rotation, f.translation) for f in fits], inliers)
-    probabilities = mixture.probabilities
-    counts = probabilities.sum(axis=1)
+    stack = stack_terms(data, single.center, single.radius, min_sigma_px)
+    all_usable = np.ones(len(stack.x), dtype=bool)
+    # The likelier half of the starts after a round.
+    first = sorted(divisions, key=lambda d: motion_mixture.fit_motion_mixture(stack, *d, max_rounds=1).cost)
+    mixtures = [motion_mixture.fit_motion_mixture(stack, *division) for division in first[: (len(first) + 1) // 2]]
+    mixture = min(mixtures, key=lambda mixture: mixture.cost)
+    counts = mixture.probabilities.sum(axis=1)
     if not (mixture.predicted_decrease < DECREASE_OF_ONE_SD and counts.min() > MIN_MATCHES):
         return None
-    rotation, translation, _ = mixture.fits[0].candidate
-    minima = RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[:1])
-    result = RobustFit(mixture.fits[0], minima, mixture.iterations, mixture.predicted_decrease)
-    problem = _Problem(data, stack, center, radius, np.ones(len(stack.x), dtype=bool))
-    fit = _build_fit(problem, result, probabilities[0], problem.diagnose(result.fit, probabilities[0]))
-    return replace(fit, iterations=mixture.iterations), np.add.reduceat(probabilities, stack.offsets[:-1], axis=1)
+    larger = int(np.argmax(counts))
+    fit, other = mixture.fits[larger], mixture.fits[1 - larger].candidate
+    probabilities = mixture.probabilities[[larger, 1 - larger]]
+    rotation, translation, _ = fit.candidate
+    minima = RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[[larger]])
+    result = RobustFit(fit, minima, mixture.iterations, mixture.predicted_decrease, False)
+    problem = _Problem(data, stack, single.center, single.radius, all_usable)
+    built = _build_fit(problem, result, probabilities[0], problem.diagnose(fit, probabilities[0]))
+    density = motion_mixture.compute_motion_density(stack, _refit(stack, single.fit))
+    cost = motion_mixture.compute_cost(stack, all_usable, density)
+    unknowns = N_MOTION + len(data) * (DEPTH_MODEL_SIZE + 1) + 1
+    return TwoMotions(
+        replace(built, iterations=mixture.iterations),
+        (other.rotation, other.translation),
+        (problem.split_by_term(probabilities[0]), problem.split_by_term(probabilities[1])),
+        cost - mixture.cost,
+        0.5 * unknowns * float(np.log(len(stack.x))),
+    )
 
 
 def _build_fit(
@@ -222,9 +312,18 @@ def _build_fit(
         information = remove_direction(information[0], rod_direction), remove_direction(information[1], rod_direction)
     weights = irls_fit.weights * (probabilities > 0.5) if checks.has_soft_assignment else irls_fit.weights
     matches = problem.split_by_term(weights), problem.split_by_term(irls_fit.residuals_px)
-    cost, is_mixed = float(minima.costs.min()), checks.is_mixed
-    pose = status, rotation, translation
-    return Fit(*pose, *matches, *information, 0, alternative=alternative, is_mixed=is_mixed, cost=cost)
+    is_varying = result.is_noisy or checks.dependence > motion_mixture.MAX_DEPENDENCE
+    pose, cost = (status, rotation, translation), float(minima.costs.min())
+    return Fit(
+        *pose,
+        *matches,
+        *information,
+        0,
+        alternative=alternative,
+        is_mixed=checks.is_mixed,
+        cost=cost,
+        is_varying=is_varying,
+    )
 
 
 def _inflate_both(information: Information, columns: FloatArray) -> Information:
@@ -369,6 +468,7 @@ def warm_up() -> None:
     observability.is_consistent(stack, usable > 0, fit)
     observability.is_static(stack, fit, np.eye(6))
     motion_mixture.correlate_neighbors(stack, fit)
+    motion_mixture.divide_inliers(stack, fit)
     motion_mixture.compute_cost(stack, usable > 0, motion_mixture.compute_motion_density(stack, fit))
     uncertainty.is_flat(stack, fit)
     uncertainty.compute_size_if_curved(fit, 0.1)

@@ -335,6 +335,7 @@ class Fit:
         is_mixed: whether neighboring residuals are correlated: two bodies fitted as one, or a wrongly calibrated
             camera. The motion then belongs to neither, and its covariance is meaningless.
         cost: negative log-likelihood of the matches, to compare fits of the same matches.
+        is_varying: whether the residuals depend on the motion, or are large, as those of two interleaved bodies are.
         static_ratio: share of the matches assigned to a static background while the object moves by little.
     """
 
@@ -350,6 +351,7 @@ class Fit:
     alternative: tuple[FloatArray, FloatArray] | None = None
     is_mixed: bool = False
     cost: float = np.inf
+    is_varying: bool = False
     static_ratio: float = 0.0
 
     def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:

@@ -33,8 +33,8 @@ from sylpose.relative_pose.limits import MIN_ERROR_PX, MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.rig_hypotheses import MAX_COMBINED
 from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
-from sylpose.relative_pose.solver import fit_terms, fit_two_motions
-from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
+from sylpose.relative_pose.solver import Division, fit_terms, fit_two_motions
+from sylpose.relative_pose.terms import MIN_MATCHES, Fit, Solution, TermData, locate_object, make_failed_fit
 from sylpose.rig import Camera
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.camera import CameraTracker
@@ -320,10 +320,10 @@ def _separate_motions(
     nearest = [np.where(own.min(axis=0) < MAX_GROUP_DISTANCE_PX, own.argmin(axis=0), -1) for own in best]
     if not nearest or (fits := fit_two([own == 0 for own in nearest], [own == 1 for own in nearest])) is None:
         return None
-    separated = fit_two_motions(data, center, radius, *fits)
-    if separated is not None and separated[1][1].sum() > separated[1][0].sum():
-        separated = fit_two_motions(data, center, radius, *fits[::-1]) or separated
-    return separated[0] if separated is not None and separated[0].status.has_pose else None
+    motions, masks = [(fit.rotation, fit.translation) for fit in fits], [np.concatenate(f.weights) > 0 for f in fits]
+    start = Division((motions[0], motions[1]), (masks[0], masks[1]))
+    separated = fit_two_motions(data, Solution(fits[0], center, radius), [start])
+    return separated.fit if separated is not None and separated.fit.status.has_pose else None
 
 
 def _find_groups(term: TermData, rng: np.random.Generator) -> tuple[BoolArray, BoolArray]:
