@@ -230,7 +230,9 @@ def fit_two_motions(
     stack = stack_terms(data, single.center, single.radius, min_sigma_px)
     all_usable = np.ones(len(stack.x), dtype=bool)
     # The likelier half of the starts after a round.
-    first = sorted(divisions, key=lambda d: motion_mixture.fit_motion_mixture(stack, *d, max_rounds=1).cost)
+    first = sorted(
+        divisions, key=lambda d: motion_mixture.fit_motion_mixture(stack, d.motions, d.masks, max_rounds=1).cost
+    )
     mixtures = [motion_mixture.fit_motion_mixture(stack, *division) for division in first[: (len(first) + 1) // 2]]
     mixture = min(mixtures, key=lambda mixture: mixture.cost)
     counts = mixture.probabilities.sum(axis=1)
