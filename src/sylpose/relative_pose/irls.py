@@ -18,7 +18,7 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
-from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, dot, kernel, leaf
+from sylpose.geometry.numba_linalg import cholesky, cholesky_solve, compute_sum, dot, kernel, leaf
 from sylpose.geometry.robust_loss import RIG_PRIOR_MATCHES, bisquare_noise_response
 from sylpose.relative_pose.limits import (
     CONVERGED_DECREASE,
@@ -164,6 +164,7 @@ class _Workspace(NamedTuple):
         step: (7,).
         mass, active: (T,) the sums of the weights, and whether the term is used.
         sums: (2, N) terms of sums.
+        complexity: (1,) cost of the depth models' unknowns (`_measure_complexity`).
     """
 
     matches: MatchErrors
@@ -175,6 +176,7 @@ class _Workspace(NamedTuple):
     mass: FloatArray
     active: BoolArray
     sums: FloatArray
+    complexity: FloatArray
 
 
 @kernel
@@ -185,7 +187,7 @@ def _make_workspace(fit: IrlsFit) -> _Workspace:
     equations, final_equations = make_match_equations(False), make_match_equations(True)
     joint, without_depth = make_joint_system(n), make_joint_system(n)
     step, mass, active, sums = np.empty(7), np.zeros(n), np.ones(n, np.bool_), np.empty((2, m))
-    return _Workspace(matches, equations, final_equations, joint, without_depth, step, mass, active, sums)
+    return _Workspace(matches, equations, final_equations, joint, without_depth, step, mass, active, sums, np.zeros(1))
 
 
 @kernel
@@ -269,6 +271,7 @@ def _sum_terms(stack: Stack, usable: InlierPrior, fit: IrlsFit, cutoff: float, f
     joint.total[:], without_depth.total[:], joint.right[:], noise[:] = 0.0, 0.0, 0.0, 0.0
     # Prior of the distance offset: standard deviation 1.
     joint.total[6, 6], joint.right[6] = 1.0, -fit.distance_offset[0]
+    work.complexity[0] = 0.0
     for t in range(stack.focal.shape[0]):
         equations, offset = work.final_equations if final else work.equations, fit.distance_offset[0]
         term = make_term(stack, t, fit.candidate, make_tolerance(stack, t, fit, work.mass[t], cutoff))
@@ -282,11 +285,36 @@ def _sum_terms(stack: Stack, usable: InlierPrior, fit: IrlsFit, cutoff: float, f
             add_rotated(equations.noise_information, stack.qy[t], noise)
         if not reduce_term(stack, t, fit.candidate, offset, equations, 1.0, joint):
             return False
+        if final:
+            work.complexity[0] += _measure_complexity(joint.block, stack.depth_model_information[t], joint.inverse)
     fit.information_without_depth[:] = without_depth.total[:6, :6]
     for i in range(6):
         for j in range(6):
             fit.information[i, j] = joint.total[i, j] - joint.total[i, 6] * joint.total[6, j] / joint.total[6, 6]
     return True
+
+
+@leaf
+def _measure_complexity(factor: FloatArray, prior: FloatArray, work: FloatArray) -> float:
+    """Return log sqrt(det B / det P) of a depth model with information B and prior information P.
+
+    It is the cost of the unknowns with which a likelihood is reached (Laplace's approximation of the marginal likelihood):
+    a large rotation determines the depths of a surface better than a small one does, and so explains noise by them.
+
+    Args:
+        factor: (6, 6) Cholesky factor of B.
+        prior: (6, 6) P.
+        work: (6, 6) is overwritten.
+    """
+    for k in range(DEPTH_MODEL_SIZE):
+        for j in range(DEPTH_MODEL_SIZE):
+            work[k, j] = prior[k, j]
+    total = 0.0
+    if not cholesky(work):
+        return total
+    for k in range(DEPTH_MODEL_SIZE):
+        total += np.log(factor[k, k] / work[k, k])
+    return total
 
 
 @leaf
@@ -333,7 +361,7 @@ def _discount_noise(noise: FloatArray, decrease: float, work: _Workspace) -> flo
 @leaf
 def _finish(stack: Stack, usable: InlierPrior, fit: IrlsFit, work: _Workspace) -> float:
     """Scale residuals and information; return the negative log-likelihood of all usable matches."""
-    cost, density = 0.5 * fit.distance_offset[0] ** 2, 0.0
+    cost, density = 0.5 * fit.distance_offset[0] ** 2 + work.complexity[0], 0.0
     distance, parallax = work.matches.distance, work.matches.parallax
     for t in range(stack.focal.shape[0]):
         cost += compute_depth_prior(stack, t, fit.candidate.depth_model[t], fit.distance_offset[0], work.joint.prior)
