@@ -101,6 +101,8 @@ def initialize_tracking(
             is_due |= len(buffered) > context.options.max_buffered_frames
             if is_due and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
+        elif started := _initialize_from_steps(context, buffered):
+            return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
     if len(buffered) <= context.options.max_buffered_frames:
         return state, _limit_memory(buffered), []
@@ -256,6 +258,33 @@ def _initialize_from_motion(
     else:  # one of them determined the depth: the end frame, based on guessed depth, was discarded
         state, last_tracked = _solve_buffered_frame(context, state, end_frame, state.predict_pose(end_frame.time))
     return state, [*decided, last_tracked]
+
+
+def _initialize_from_steps(
+    context: Context, buffered: Sequence[BufferedFrame]
+) -> tuple[JointState, list[TrackedFrame]] | None:
+    """Initialize the object from the motion up to the frame before the last, if that to the last continues it.
+
+    An object that rotates fast, or has a repetitive pattern, may match frames that follow each other only.
+
+    Returns:
+        as `_initialize_from_motion`; None without two such motions.
+    """
+    *before, last = buffered
+    if len(before) < 2 or before[-1].motion is None:
+        return None
+    _, step = _match_first_motion(context, [before[-1], last])
+    if not step.is_significant or not is_continuing_motion(before[-1].motion, step.motion * before[-1].motion):
+        return None
+    pairs, first_motion = _match_first_motion(context, before)
+    if not first_motion.is_observable:
+        return None
+    started = _initialize_from_motion(context, before, pairs, first_motion)
+    if started is None:
+        return None
+    state, decided = started
+    state, tracked = _solve_buffered_frame(context, state, last.frame, state.predict_pose(last.frame.time))
+    return state, [*decided, tracked]
 
 
 def _create_model(
