@@ -29,6 +29,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.features.sift import Features, match_features
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.matrices import relative_rotvec
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
 from sylpose.status import Status
@@ -44,6 +45,7 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import (
+    OTHER_SIDE_ROTATION,
     SAME_PLACE_RATIO,
     PoseCandidate,
     SearchResult,
@@ -352,12 +354,12 @@ def has_known_references(state: JointState, candidate: PoseCandidate) -> bool:
 def is_side_ambiguous(
     context: Context, state: JointState, candidate: PoseCandidate, predicted_pose: RigidTransform
 ) -> bool:
-    """Return whether a pose far from the predicted one may be that of another side, which looks alike.
+    """Return whether a pose rotated from the predicted one may be that of another side, which looks alike.
 
     Many features of a repetitive pattern match those of other sides. If the visible side is in no keyframe, only a wrong
     one is found. Keyframes of one side only do not show it, nor does a pattern that repeats within one view.
     """
-    if is_near_start(state, candidate, predicted_pose):
+    if np.linalg.norm(relative_rotvec(predicted_pose, candidate.pose)) <= OTHER_SIDE_ROTATION:
         return False
     keyframes, viewpoints = state.frames.keyframes, compute_viewpoints(context.rig, candidate.pose)
     visible = [[k for k in keyframes if k.is_visible[c]] for c in context.executor.local]
