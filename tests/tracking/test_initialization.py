@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.kinds import KINDS
+from benchmarks.kinds import KINDS, compute_errors
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import relative_rotvec
@@ -355,6 +355,15 @@ def test_faulty_camera_is_no_rival() -> None:
     found = estimate_motion(executor, rig, pairs)
     assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
     executor.close()
+
+
+def test_starts_from_motions_of_adjacent_frames() -> None:
+    # A checkered cube, 11 degrees per frame: two frames later its faces do not match those of the first frame.
+    variation = KINDS["checkered"](np.random.default_rng([50, *b"checkered"]))
+    tracked = list(track(list(islice(variation.frames(), 4)), variation.scene.rig))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 3
+    errors, _ = compute_errors(variation, [frame.pose for frame in tracked])
+    assert errors[:, 0].max() < 1.0
 
 
 def test_buffered_frame_may_determine_depth(monkeypatch: pytest.MonkeyPatch) -> None:
