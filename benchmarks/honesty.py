@@ -12,8 +12,8 @@ A result is *wrong and sure* if it has the status OK, its error is large and its
 The table gives for each kind the share of OK, the number of wrong and sure results, the other statuses, and the seeds of
 the worst results (`--kinds NAME --seed N` repeats one scene). Kinds marked with * are regular problems, which must be OK.
 Kinds marked with - are excluded: a wrong calibration of one of two cameras may be undetectable from the matches. So may be
-other axes of pixels: a mirrored world may agree with itself. Where the matches fit as well as with the right axes, nothing
-in them shows it; such results count as hidden.
+other axes of pixels: a mirrored world may agree with itself. Where the matches fit about as well as with the right axes,
+the result counts as hidden.
 
 The exit code is 1 if more than 1 in 1,000 of all results are wrong and sure, or more than 1 in 200 of a kind (and more
 than one), or if less than 97 % of the regular ones are OK. The kinds: benchmarks/honesty_kinds.py.
@@ -40,7 +40,7 @@ __all__ = ["Outcome", "compare_with_truth", "evaluate_scenes"]
 WRONG_DEG, WRONG_NEES = 3.0, chi_squared_bound(6, 1e-6)
 # Requirements: largest share of wrong and sure results, over all kinds and within a kind; least share of OK if regular.
 MAX_WRONG_SHARE, MAX_WRONG_SHARE_PER_KIND, MIN_OK_SHARE = 1 / 1000, 1 / 200, 0.97
-# Matches fit as well if as many do, with residuals at most this much larger.
+# Matches fit about as well if as many do, with residuals at most this much larger (choice).
 MAX_HIDDEN_FACTOR = 1.2
 
 

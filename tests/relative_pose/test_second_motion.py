@@ -107,7 +107,6 @@ def test_derivatives_equal_finite_differences() -> None:
             moved.candidate.translation[:] = fit.candidate.translation + step[3:]
             moved.weights[:] = fit.weights
             end, _ = _linearize_inliers(stack, moved)
-            # Each is in units of its own rms: restore that of the fit.
             ends.append(end)
         numerical[:, k] = (ends[1] - ends[0]) / (2.0 * h)
     # The units change with the motion as well: compare what is perpendicular to the residuals in each term.

@@ -309,9 +309,9 @@ def _measure_complexity(factor: FloatArray, prior: FloatArray, work: FloatArray)
     for k in range(DEPTH_MODEL_SIZE):
         for j in range(DEPTH_MODEL_SIZE):
             work[k, j] = prior[k, j]
-    total = 0.0
     if not cholesky(work):
-        return total
+        return np.inf
+    total = 0.0
     for k in range(DEPTH_MODEL_SIZE):
         total += np.log(factor[k, k] / work[k, k])
     return total
@@ -361,7 +361,7 @@ def _discount_noise(noise: FloatArray, decrease: float, work: _Workspace) -> flo
 @leaf
 def _finish(stack: Stack, usable: InlierPrior, fit: IrlsFit, work: _Workspace) -> float:
     """Scale residuals and information; return the negative log-likelihood of all usable matches."""
-    cost, density = 0.5 * fit.distance_offset[0] ** 2 + work.complexity[0], 0.0
+    cost, density = 0.5 * fit.distance_offset[0] ** 2 + stack.marginalized_share * work.complexity[0], 0.0
     distance, parallax = work.matches.distance, work.matches.parallax
     for t in range(stack.focal.shape[0]):
         cost += compute_depth_prior(stack, t, fit.candidate.depth_model[t], fit.distance_offset[0], work.joint.prior)

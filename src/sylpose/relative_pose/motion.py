@@ -126,7 +126,11 @@ def _estimate(
     solution = solve(data)
     solution, second_body_ratio = select_larger_body(data, solution, rig, solve, units.sigma) or (solution, 0.0)
     if second_body_ratio == 0.0 and solution.fit.status is not Status.TOO_FEW_MATCHES:
+        is_mixed = solution.fit.is_mixed
         solution = solve_without_faulty_cameras(data, solution, rig, solve)
+        if is_mixed and solution.fit.may_be_two:
+            # Two bodies make cameras disagree as well: without one of them they are still there.
+            solution = solution._replace(fit=replace(solution.fit, is_mixed=True))
     if method in ESTIMATORS and solution.fit.status is Status.OK:
         solution = solution._replace(fit=apply_estimator(method, data, solution.fit, solution.center, rig.names))
     # One camera alone does not determine the object's distance; only a given center does.

@@ -56,8 +56,9 @@ from sylpose.relative_pose.match_cost import (
     make_term,
 )
 from sylpose.relative_pose.observability import is_consistent
-from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
+from sylpose.relative_pose.robust_fit import RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into, transform_to_camera
+from sylpose.relative_pose.uncertainty import RefinedMinima
 
 # Number of image neighbors that a match's residual is compared with (choice).
 N_NEIGHBORS = 3
@@ -73,7 +74,7 @@ MIN_CORRELATION_SIGMAS, MIN_CORRELATION = 5.0, 0.15
 MIN_SIGMAS_UNCERTAIN = 2.5
 # Products of two of the six unknowns of a motion (derived).
 N_PRODUCTS = 21
-# The squares of residuals depend on the motion beyond this (chi-squared, once in a hundred times).
+# The squares of residuals depend on the motion beyond this (derived: chi-squared, once in a hundred times).
 MAX_DEPENDENCE = chi_squared_bound(N_PRODUCTS, 0.01)
 # Largest change of an assignment at convergence; one motion's noise is at least this share of the other's, or of the static
 # matches' (choice).
@@ -222,7 +223,8 @@ def measure_dependence(stack: Stack, fit: IrlsFit) -> float:
     """Return White's test of a fit, chi-squared of `N_PRODUCTS` degrees of freedom if the residuals are noise.
 
     It is n R² of a regression of the squares of n residuals on the products of their derivatives, each term with a mean of
-    its own; 0 with too few inliers.
+    its own; 0 with too few inliers. Of one camera, which shows no scale, only 14 products are independent: the test is
+    then conservative.
     """
     residuals, slopes = _linearize_inliers(stack, fit)
     products, squares, n = np.empty((len(residuals), N_PRODUCTS)), np.empty(len(residuals)), 0
@@ -257,13 +259,13 @@ def measure_dependence(stack: Stack, fit: IrlsFit) -> float:
 
 
 def divide_inliers(stack: Stack, fit: IrlsFit) -> list[tuple[BoolArray, BoolArray]]:
-    """Divide the inliers of a fit in two (N,), along each of six directions of the motion.
+    """Divide the inliers of a fit in two (N,), by the signs of residuals and derivatives along six directions of the motion.
 
-    On the first one their residuals depend most; two bodies may differ in another one.
+    The squares of the residuals depend most on the first one; two bodies may differ in another one.
     """
     residuals, slopes = _linearize_inliers(stack, fit)
     excess, total = slopes.T @ ((residuals**2 - 1.0)[:, None] * slopes), slopes.T @ slopes
-    if not np.diag(total).min() > 0.0:
+    if not (np.diag(total).min() > 0.0 and np.isfinite(total).all() and np.isfinite(excess).all()):
         return []
     _, directions = eigh(excess, total + HALF_DIGITS * np.diag(np.diag(total)))
     inliers = fit.weights > 0.0

@@ -332,10 +332,11 @@ class Fit:
         iterations: of the solver, all rounds.
         faults: one sentence for each camera identified as faulty, or on what all may have wrong.
         alternative: (R, d) of a distant alternative motion that explains the matches about as well; None without.
-        is_mixed: whether neighboring residuals are correlated: two bodies fitted as one, or a wrongly calibrated
-            camera. The motion then belongs to neither, and its covariance is meaningless.
+        is_mixed: whether neighboring residuals are correlated, or two motions are likelier: two bodies fitted as one, or a
+            wrongly calibrated camera. The motion then belongs to neither, and its covariance is meaningless.
         cost: negative log-likelihood of the matches, to compare fits of the same matches.
-        is_varying: whether the residuals depend on the motion, or are large, as those of two interleaved bodies are.
+        may_be_two: whether the residuals depend on the motion or reach the bound of their noise, as those of two interleaved
+            bodies do.
         static_ratio: share of the matches assigned to a static background while the object moves by little.
     """
 
@@ -351,7 +352,7 @@ class Fit:
     alternative: tuple[FloatArray, FloatArray] | None = None
     is_mixed: bool = False
     cost: float = np.inf
-    is_varying: bool = False
+    may_be_two: bool = False
     static_ratio: float = 0.0
 
     def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:

@@ -50,7 +50,6 @@ from sylpose.relative_pose.match_cost import (
     make_match_errors,
     make_term,
 )
-from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.terms import (
     COINCIDENCE_TOLERANCE,
     DEPTH_MODEL_SIZE,
@@ -60,6 +59,23 @@ from sylpose.relative_pose.terms import (
     copy_into,
     transform_to_camera,
 )
+
+
+class RefinedMinima(NamedTuple):
+    """Refined minima, at most K: the candidates for alternative motions.
+
+    Attributes:
+        rotations: (K, 3, 3).
+        translations: (K, 3).
+        costs: (K,) negative log-likelihoods, infinite for unused entries.
+        inliers: (K,) numbers of inliers.
+    """
+
+    rotations: FloatArray
+    translations: FloatArray
+    costs: FloatArray
+    inliers: FloatArray
+
 
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
 # noise (chi-squared, once in a thousand times).

@@ -265,13 +265,16 @@ def _initialize_from_steps(
 ) -> tuple[JointState, list[TrackedFrame]] | None:
     """Initialize the object from the motion up to the frame before the last, if that to the last continues it.
 
-    An object that rotates fast, or has a repetitive pattern, may match frames that follow each other only.
+    Views of a fast or repetitive object may only match in adjacent frames.
 
     Returns:
         as `_initialize_from_motion`; None without two such motions.
     """
     *before, last = buffered
     if len(before) < 2 or before[-1].motion is None:
+        return None
+    # A candidate's motion is measured up to a frame of its own. Images may have been dropped.
+    if context.candidate is not None or any(image is None for image in before[-1].frame.images.images):
         return None
     _, step = _match_first_motion(context, [before[-1], last])
     if not step.is_significant or not is_continuing_motion(before[-1].motion, step.motion * before[-1].motion):
