@@ -11,11 +11,11 @@ from benchmarks.honesty_kinds import make_problem
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_constrained_irls, run_irls
 from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
+from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
 from sylpose.relative_pose.uncertainty import (
     MAX_INCLUDED_SIGMAS,
     MIN_VARIANCE_DEFICIT,
-    RefinedMinima,
     compute_freedom,
     compute_second_planes,
     compute_square_root,

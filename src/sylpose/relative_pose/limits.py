@@ -15,7 +15,8 @@ MAX_SAMPLES = 256
 # A fit has converged if the predicted decrease of its cost, half the square of the step in standard deviations, is below the
 # first value, a thirtieth of a standard deviation; a search for starts, or across a valley, below the second (choice).
 CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
-# A fit whose last step was one standard deviation long has not converged: half of the square (derived).
+# A fit whose last step was one standard deviation long has not converged, and its planar part needs no more: half of the
+# square (derived).
 DECREASE_OF_ONE_SD = 0.5
 # Maximum number of rounds of a solver, and of one that finds a start for another, or a camera's own motion (choice).
 MAX_ROUNDS, MAX_STEPS = 40, 20
@@ -23,7 +24,8 @@ MAX_ROUNDS, MAX_STEPS = 40, 20
 MAX_ROTATION_STEP = 0.3
 # What exceeds so many standard deviations is no chance (choice): an error, or the number of matches that moved (at 3, 5 of
 # 30 static scenes of 20 matches are taken for moving ones, at 5 two). As the cutoff of Tukey's bisquare it is 94 %
-# efficient with Gaussian noise in two directions, whose squared length is chi-squared with two degrees of freedom.
+# efficient with Gaussian noise in two directions, whose squared length is chi-squared with two degrees of freedom. Hidden
+# minima are searched as far from a motion.
 CUTOFF = 5.0
 # Least share of a camera's matches that agree for the camera to be used: junk alone reaches about a tenth (choice).
 MIN_SHARE = 1.0 / 3.0

@@ -56,9 +56,8 @@ from sylpose.relative_pose.match_cost import (
     make_term,
 )
 from sylpose.relative_pose.observability import is_consistent
-from sylpose.relative_pose.robust_fit import RobustFit, draw_and_fit
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into, transform_to_camera
-from sylpose.relative_pose.uncertainty import RefinedMinima
 
 # Number of image neighbors that a match's residual is compared with (choice).
 N_NEIGHBORS = 3

@@ -20,7 +20,6 @@ from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_RO
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
 from sylpose.relative_pose.search import MAX_HYPOTHESES, make_minima, search_minima
 from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack, copy_into
-from sylpose.relative_pose.uncertainty import CONCAVE_SLOPE, RefinedMinima, triangulate_planes
 
 # How far the log-likelihood of a minimum to refine may be below the best: the moments, with denominators at the mean rays,
 # misjudge it by some tens for large rotations (choice).
@@ -29,6 +28,22 @@ MAX_LIKELIHOOD_GAP = 60.0
 # instead of 18 of 224 pairs of images are wrong and sure). Later passes skip minima whose rotation differs from a refined
 # one by less than this share of the rotation (choice).
 N_PASSES, MAX_FEW_TERMS, SAME_ROTATION_SHARE = 2, 2, 0.1
+
+
+class RefinedMinima(NamedTuple):
+    """Refined minima, at most K: the candidates for alternative motions.
+
+    Attributes:
+        rotations: (K, 3, 3).
+        translations: (K, 3).
+        costs: (K,) negative log-likelihoods, infinite for unused entries.
+        inliers: (K,) numbers of inliers.
+    """
+
+    rotations: FloatArray
+    translations: FloatArray
+    costs: FloatArray
+    inliers: FloatArray
 
 
 class RobustFit(NamedTuple):
@@ -66,7 +81,6 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
     sums, first_sigma = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
     _select_seeds(stack, usable, picks, trial.weights, first_sigma)
     best, decrease, iterations = np.inf, np.inf, 0
-    edge_on, planes = make_empty_irls_fit(stack), np.empty_like(trial.candidate.depth_model)
     seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), make_minima(MAX_HYPOTHESES, n)
     # Mismatches among the seeds displace the minima. Few cameras leave many minima to distinguish, so a second pass
     # searches the inliers of the first.
@@ -94,17 +108,6 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
             trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
             done, new_decrease, cost = run_constrained_irls(stack, usable, trial, SIGMA_FLOOR_PX, np.zeros(6))
             iterations, k = iterations + done, MAX_HYPOTHESES * pass_index + m
-            if cost < np.inf and triangulate_planes(stack, trial, planes) > CONCAVE_SLOPE:
-                # A plane that is seen edge on is another minimum of the same motion.
-                _copy_fit(edge_on, trial)
-                edge_on.candidate.depth_model[:] = planes
-                done, edge_decrease, edge_cost = run_constrained_irls(
-                    stack, usable, edge_on, SIGMA_FLOOR_PX, np.zeros(6)
-                )
-                iterations += done
-                if edge_cost < cost:
-                    new_decrease, cost = edge_decrease, edge_cost
-                    _copy_fit(trial, edge_on)
             refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
             if cost < best:

@@ -31,7 +31,9 @@ from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.normal_equations import eliminate_block
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf, so3_exp, so3_log
 from sylpose.relative_pose.limits import (
+    DECREASE_OF_ONE_SD,
     HALF_DIGITS,
+    MAX_ROTATION_STEP,
     MAX_ROUNDS,
     MAX_STEPS,
     ROUGHLY_CONVERGED_DECREASE,
@@ -59,9 +61,6 @@ SAME_MOTION = 0.01
 # A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
 # (choice).
 MAX_COST_RATIO = 4.0
-# Maximum number of steps of the planar part alone, from the identity, and the predicted decrease at convergence; and the
-# largest rotation of a step, radians (choice: docs/history/benchmarks.md, "Fewer numbers").
-PLANE_STEPS, PLANE_TOLERANCE, MAX_SEARCH_ROTATION_STEP = 12, 1.0, 0.5
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
 # Maximum number of points where lines of rotations meet that are tried, as many as two cameras have; of terms whose axes
@@ -205,7 +204,7 @@ def descend(
         number of iterations; the predicted decrease of the last step: half the squared length of the step, in standard
         deviations of the motion, below the tolerance if converged, 0 if no step lowers the cost; the current damping.
     """
-    n, decrease, tolerance = stack.focal.shape[0], np.inf, PLANE_TOLERANCE if planar else work.tolerance
+    n, decrease, tolerance = stack.focal.shape[0], np.inf, DECREASE_OF_ONE_SD if planar else work.tolerance
     normal, gain, kappa, costs, term_weights, squares, _, right, step, _, _, trial, view, _ = work
     kappa[:] = 0.0
     term_weights[:] = 1.0
@@ -224,9 +223,9 @@ def descend(
         for _ in range(MAX_ROUNDS):
             if _solve_step(damping, work):
                 length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-                if length > MAX_SEARCH_ROTATION_STEP:
+                if length > MAX_ROTATION_STEP:
                     for i in range(6):
-                        step[i] *= MAX_SEARCH_ROTATION_STEP / length
+                        step[i] *= MAX_ROTATION_STEP / length
                 apply_rotvec(step[:3], candidate.rotation, trial.rotation)
                 new, decrease = 0.0, 0.5 * dot(step, right)
                 for i in range(3):
@@ -483,7 +482,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            done, _, _ = descend(stack, sums, True, PLANE_STEPS, candidate, INITIAL_DAMPING, workspace)
+            done, _, _ = descend(stack, sums, True, MAX_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done
         elif guess < 0:
             axis = axes[mirror]

@@ -28,7 +28,7 @@ from sylpose.relative_pose.camera_evidence import (
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, SIGMA_FLOOR_PX
-from sylpose.relative_pose.robust_fit import RobustFit, draw_and_fit
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import (
     DEPTH_MODEL_SIZE,
     MIN_MATCHES,
@@ -249,7 +249,7 @@ def fit_two_motions(
     fit, other = mixture.fits[larger], mixture.fits[1 - larger].candidate
     probabilities = mixture.probabilities[[larger, 1 - larger]]
     rotation, translation, _ = fit.candidate
-    minima = uncertainty.RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[[larger]])
+    minima = RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[[larger]])
     result = RobustFit(fit, minima, mixture.iterations, mixture.predicted_decrease, False)
     problem = _Problem(data, stack, single.center, single.radius, all_usable)
     built = _build_fit(problem, result, probabilities[0], problem.diagnose(fit, probabilities[0]))
@@ -362,7 +362,7 @@ def _explain_correlation(problem: _Problem, irls_fit: IrlsFit, checks: FitDiagno
 
 def _consider_alternatives(
     problem: _Problem, result: RobustFit, probabilities: FloatArray, checks: FitDiagnostics, information: Information
-) -> tuple[uncertainty.RefinedMinima, Hypothesis | None, Information] | None:
+) -> tuple[RefinedMinima, Hypothesis | None, Information] | None:
     """Find alternative motions; near ones, with their own covariances, inflate the covariance.
 
     Returns:
@@ -418,8 +418,8 @@ def _remove_rod_rotation(stack: Stack, usable: FloatArray, result: RobustFit, ro
 
 
 def _refine_from_alternatives(
-    stack: Stack, probabilities: FloatArray, irls_fit: IrlsFit, minima: uncertainty.RefinedMinima, include_self: bool
-) -> uncertainty.RefinedMinima | None:
+    stack: Stack, probabilities: FloatArray, irls_fit: IrlsFit, minima: RefinedMinima, include_self: bool
+) -> RefinedMinima | None:
     """Refit from the second planes of flat objects, the other minima, and the motion itself with other depths.
 
     The noise that was found is kept. Flat objects and weakly observed motions depend on how curved surfaces are assumed to
@@ -457,7 +457,7 @@ def _refine_from_alternatives(
             return None
         costs[-1] = cost
     # A likelier minimum is treated as an alternative like the others.
-    return uncertainty.RefinedMinima(rotations, translations, np.maximum(costs, cost), inliers)
+    return RefinedMinima(rotations, translations, np.maximum(costs, cost), inliers)
 
 
 # --- compilation -------------------------------------------------------------------------------------------------------

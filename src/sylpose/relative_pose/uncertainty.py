@@ -50,6 +50,7 @@ from sylpose.relative_pose.match_cost import (
     make_match_errors,
     make_term,
 )
+from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.terms import (
     COINCIDENCE_TOLERANCE,
     DEPTH_MODEL_SIZE,
@@ -59,23 +60,6 @@ from sylpose.relative_pose.terms import (
     copy_into,
     transform_to_camera,
 )
-
-
-class RefinedMinima(NamedTuple):
-    """Refined minima, at most K: the candidates for alternative motions.
-
-    Attributes:
-        rotations: (K, 3, 3).
-        translations: (K, 3).
-        costs: (K,) negative log-likelihoods, infinite for unused entries.
-        inliers: (K,) numbers of inliers.
-    """
-
-    rotations: FloatArray
-    translations: FloatArray
-    costs: FloatArray
-    inliers: FloatArray
-
 
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
 # noise (chi-squared, once in a thousand times).
@@ -338,9 +322,8 @@ NORMAL_FOURTH_MOMENT = 3.0
 # 2,952 answers with a direction above 5 %, half have one above this, and 58 of the 68 confidently wrong ones; of 800 usual
 # answers 26).
 WEAKLY_OBSERVED_SHARE = 0.08
-# Hidden minima are searched as many standard deviations away (choice).
-FAR_SIGMAS = 6.0
-# The result is included as if it were no farther than this (chi-squared, once in a thousand times) ...
+# The result of a displacement of `CUTOFF` is included as if it were no farther than this (chi-squared, once in a thousand
+# times) ...
 MAX_INCLUDED_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # ... if the covariance is too small for it by more than this (measured: if all are included, the mean normalized
 # squared error with two cameras is 3.9, with this 4.1, without any 4.4; 6 is right).
@@ -401,7 +384,7 @@ def refit_along_weak_direction(
         return []
     along, constraint = scale * vectors[:, 0], vectors[:, 0] / scale
     constraint /= np.linalg.norm(constraint)
-    out, length = [], min(FAR_SIGMAS * float(sd[0]), size)
+    out, length = [], min(CUTOFF * float(sd[0]), size)
     for step_length in (-length, length):
         refit = make_irls_start(stack, fit.candidate, fit.sigma_px)
         apply_rotvec(step_length * along[:3], fit.candidate.rotation, refit.candidate.rotation)

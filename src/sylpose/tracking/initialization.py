@@ -273,8 +273,8 @@ def _initialize_from_steps(
     *before, last = buffered
     if len(before) < 2 or before[-1].motion is None:
         return None
-    # A candidate's motion is measured up to a frame of its own. Images may have been dropped.
-    if context.candidate is not None or any(image is None for image in before[-1].frame.images.images):
+    # Images may have been dropped.
+    if all(image is None for image in before[-1].frame.images.images):
         return None
     _, step = _match_first_motion(context, [before[-1], last])
     if not step.is_significant or not is_continuing_motion(before[-1].motion, step.motion * before[-1].motion):
