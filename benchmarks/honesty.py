@@ -53,7 +53,7 @@ class Outcome(NamedTuple):
         radii: translation error in object radii; NaN if the status is not OK.
         square: squared error in units of the covariance (NEES); NaN if the status is not OK.
         wrong: the result is wrong and sure.
-        is_hidden: it would be, but nothing in the matches shows it.
+        is_hidden: it would be, but the matches fit about as well as with the right axes of pixels.
     """
 
     status: Status

@@ -19,7 +19,7 @@ from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS
 from sylpose.relative_pose.faulty_cameras import solve_without_faulty_cameras
 from sylpose.relative_pose.observability import classify_observability
-from sylpose.relative_pose.second_motion import select_larger_body
+from sylpose.relative_pose.second_motion import change_center, select_larger_body
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_estimator
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, locate_object, make_failed_fit
@@ -119,8 +119,7 @@ def _estimate(
         g, size = found_center if center is None else center, found_radius if radius is None else radius
         guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
         if start is not None:
-            rotation = start.fit.rotation
-            guess.append((rotation, start.fit.translation + (rotation - np.eye(3)) @ (g - start.center)))
+            guess.append(change_center((start.fit.rotation, start.fit.translation), start.center, g))
         return Solution(fit_terms(terms, g, size, guess, rng, units.sigma), g, size)
 
     solution = solve(data)

@@ -82,14 +82,17 @@ def select_larger_body(
     if smaller > AMBIGUOUS_RATIO * larger:
         alternative = two.other
     elif alone is not None and alone.fit.alternative is not None:
-        alternative = _move(alone.fit.alternative, alone.center, solution.center)
+        alternative = change_center(alone.fit.alternative, alone.center, solution.center)
     return solution._replace(fit=replace(two.fit, alternative=alternative)), smaller / larger
 
 
 def _fit_bodies(
     data: Sequence[TermData], solution: Solution, rig: Rig, solve: TermSolver, min_sigma_px: float
 ) -> TwoMotions | None:
-    """Fit two motions; None if they are no likelier than one, or if other axes of pixels explain the matches."""
+    """Fit two motions; None if they are no likelier than one.
+
+    Where other axes of pixels explain the matches, inliers are not divided.
+    """
     fit, center = solution.fit, solution.center
 
     def fit_two(divisions: Sequence[Division]) -> TwoMotions | None:
@@ -106,7 +109,7 @@ def _fit_bodies(
         return first
     # The mixture may be at a local maximum: search the motions of its parts.
     parts = [solve_subset(data, [p > 0.5 for p in own], solve) for own in two.probabilities]
-    motions = [_move((p.fit.rotation, p.fit.translation), p.center, center) for p in parts if p is not None]
+    motions = [change_center((p.fit.rotation, p.fit.translation), p.center, center) for p in parts if p is not None]
     masks = [np.concatenate(p.fit.weights) > 0.0 for p in parts if p is not None]
     if len(motions) < len(parts):
         return two
@@ -130,7 +133,7 @@ def _measure_displacement(data: Sequence[TermData], masks: Sequence[BoolArray]) 
     return float(np.median(np.concatenate(parts)))
 
 
-def _move(motion: Hypothesis, center: FloatArray, new_center: FloatArray) -> Hypothesis:
+def change_center(motion: Hypothesis, center: FloatArray, new_center: FloatArray) -> Hypothesis:
     """Return a motion (R, d) about another center."""
     rotation, translation = motion
     return rotation, translation + (rotation - np.eye(3)) @ (new_center - center)
@@ -153,7 +156,7 @@ def _divide_outliers(data: Sequence[TermData], solution: Solution, solve: TermSo
     second = solve_subset(data, outliers, solve)
     if second is None:
         return []
-    other = _move((second.fit.rotation, second.fit.translation), second.center, solution.center)
+    other = change_center((second.fit.rotation, second.fit.translation), second.center, solution.center)
     masks = np.concatenate(inliers), np.concatenate(second.fit.weights) > 0
     return [Division(((fit.rotation, fit.translation), other), masks)]
 
