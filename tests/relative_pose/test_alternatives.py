@@ -11,19 +11,17 @@ from benchmarks.honesty_kinds import make_problem
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_constrained_irls, run_irls
 from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
+from sylpose.relative_pose.planes import compute_second_planes, fit_edge_on, triangulate_planes
 from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
 from sylpose.relative_pose.uncertainty import (
     MAX_INCLUDED_SIGMAS,
     MIN_VARIANCE_DEFICIT,
     compute_freedom,
-    compute_second_planes,
     compute_square_root,
-    fit_edge_on,
     inflate,
     inflate_covariance,
     list_other_minima,
-    triangulate_planes,
 )
 from sylpose.status import Status
 
@@ -130,14 +128,14 @@ def test_plane_seen_edge_on_is_fitted() -> None:
     start = found.candidate._replace(depth_model=stack.depth_model_mean)
     rough = make_irls_start(stack, start, found.sigma_px)
     _, _, cost = run_irls(stack, usable, rough, SIGMA_FLOOR_PX)
-    steep, new_cost = fit_edge_on(stack, usable, make_irls_start(stack, start, found.sigma_px))
+    steep = make_irls_start(stack, start, found.sigma_px)
+    _, _, new_cost = fit_edge_on(stack, usable, steep)
     assert new_cost < cost - 50.0
     assert np.abs(steep.candidate.depth_model[0, 1:3]).min() > 5.0 * np.abs(rough.candidate.depth_model[0, 1:3]).max()
     # Where the surface faces the cameras, nothing changes.
     stack, found = fit_from_truth("two cameras", 1)
-    again, same_cost = fit_edge_on(
-        stack, np.ones(len(stack.x)), make_irls_start(stack, found.candidate, found.sigma_px)
-    )
+    again = make_irls_start(stack, found.candidate, found.sigma_px)
+    _, _, same_cost = fit_edge_on(stack, np.ones(len(stack.x)), again)
     assert again.candidate.rotation == pytest.approx(found.candidate.rotation, abs=1e-3)
     assert np.isfinite(same_cost)
 

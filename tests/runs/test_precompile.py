@@ -54,7 +54,7 @@ def test_outdated_kernels_count_as_missing(monkeypatch: pytest.MonkeyPatch) -> N
     with monkeypatch.context() as other:
         other.setattr(kernel_cache, "compute_digest", lambda _: "of other sources")
         assert not precompile.is_compiled()
-    kernel: Any = uncertainty.triangulate_planes
+    kernel: Any = uncertainty.minimize_across_valley
     monkeypatch.setattr(type(kernel.targetctx.codegen()), "magic_tuple", lambda _: ("another", "processor", ""))
     assert not precompile.is_compiled()
 

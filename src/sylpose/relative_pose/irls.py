@@ -141,6 +141,16 @@ def make_empty_irls_fit(stack: Stack) -> IrlsFit:
     )
 
 
+@kernel
+def copy_fit(target: IrlsFit, source: IrlsFit) -> None:
+    """Copy the values of `source` into the arrays of `target`."""
+    copy_into(target.candidate, source.candidate)
+    target.sigma_px[:], target.weights[:], target.residuals_px[:] = source.sigma_px, source.weights, source.residuals_px
+    target.information[:], target.information_without_depth[:] = source.information, source.information_without_depth
+    target.noise_information[:], target.residual_depth[:] = source.noise_information, source.residual_depth
+    target.distance_offset[:] = source.distance_offset
+
+
 def make_irls_start(stack: Stack, candidate: Candidate, sigma_px: FloatArray) -> IrlsFit:
     """Return a fit that starts from a candidate and a noise (T,)."""
     fit = make_empty_irls_fit(stack)

@@ -12,14 +12,16 @@ from sylpose.relative_pose.affine_ransac import N_QUADRUPLES, SEED_THRESHOLD_PX,
 from sylpose.relative_pose.irls import (
     MAX_SIGMA_GROWTH,
     IrlsFit,
+    copy_fit,
     has_uniform_residuals,
     make_empty_irls_fit,
     run_constrained_irls,
 )
 from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_ROUNDS, MIN_ERROR_PX, SIGMA_FLOOR_PX
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
+from sylpose.relative_pose.planes import fit_edge_on
 from sylpose.relative_pose.search import MAX_HYPOTHESES, make_minima, search_minima
-from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack, copy_into
+from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack
 
 # How far the log-likelihood of a minimum to refine may be below the best: the moments, with denominators at the mean rays,
 # misjudge it by some tens for large rotations (choice).
@@ -106,13 +108,13 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
             trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
             trial.candidate.depth_model[:] = stack.depth_model_mean
             trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
-            done, new_decrease, cost = run_constrained_irls(stack, usable, trial, SIGMA_FLOOR_PX, np.zeros(6))
+            done, new_decrease, cost = fit_edge_on(stack, usable, trial)
             iterations, k = iterations + done, MAX_HYPOTHESES * pass_index + m
             refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
             if cost < best:
                 best, decrease = cost, new_decrease
-                _copy_fit(fit, trial)
+                copy_fit(fit, trial)
         if not best < np.inf:
             break
         for i in range(len(seeds)):
@@ -124,7 +126,7 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         iterations += done
         if cost < best:
             decrease, k = new_decrease, int(np.argmin(refined.costs))
-            _copy_fit(fit, trial)
+            copy_fit(fit, trial)
             refined.rotations[k], refined.translations[k] = fit.candidate.rotation, fit.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (fit.weights > 0.0).sum()
     # A given noise may exceed the bound.
@@ -146,7 +148,7 @@ def _refit_with_more_noise(
         as `run_irls`; an infinite cost without an improvement.
     """
     iterations, decrease, cost = 0, np.inf, np.inf
-    _copy_fit(trial, fit)
+    copy_fit(trial, fit)
     for _ in range(MAX_ROUNDS):
         if 2 * (trial.sigma_px > (1.0 - HALF_DIGITS) * sigma_bound).sum() <= len(trial.sigma_px):
             break
@@ -157,16 +159,6 @@ def _refit_with_more_noise(
             return iterations, np.inf, np.inf
         decrease, cost, best = new_decrease, new_cost, new_cost
     return iterations, decrease, np.inf if has_uniform_residuals(trial.weights) else cost
-
-
-@kernel
-def _copy_fit(target: IrlsFit, source: IrlsFit) -> None:
-    """Copy the values of `source` into the arrays of `target`."""
-    copy_into(target.candidate, source.candidate)
-    target.sigma_px[:], target.weights[:], target.residuals_px[:] = source.sigma_px, source.weights, source.residuals_px
-    target.information[:], target.information_without_depth[:] = source.information, source.information_without_depth
-    target.noise_information[:], target.residual_depth[:] = source.noise_information, source.residual_depth
-    target.distance_offset[:] = source.distance_offset
 
 
 def draw_and_fit(stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: np.random.Generator) -> RobustFit:

@@ -28,6 +28,7 @@ from sylpose.relative_pose.camera_evidence import (
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, SIGMA_FLOOR_PX
+from sylpose.relative_pose.planes import compute_second_planes, fit_edge_on, is_flat
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import (
     DEPTH_MODEL_SIZE,
@@ -390,10 +391,10 @@ def _consider_alternatives(
         if likeliest.is_distant:
             return minima, motion, information
         start = make_irls_start(stack, Candidate(*motion, stack.depth_model_mean), irls_fit.sigma_px)
-        refit, refit_cost = uncertainty.fit_edge_on(stack, probabilities, start)
+        _, _, refit_cost = fit_edge_on(stack, probabilities, start)
         # A near alternative is two standard deviations away.
         columns = [UNOBSERVABLE_RATIO * likeliest.step[:, None]]
-        columns += [uncertainty.compute_square_root(refit.information, radius)] if refit_cost < np.inf else []
+        columns += [uncertainty.compute_square_root(start.information, radius)] if refit_cost < np.inf else []
         information = _inflate_both(information, np.column_stack(columns))
     if weakly_observed:
         for step, loss in uncertainty.refit_along_weak_direction(stack, probabilities, irls_fit, radius, cost):
@@ -436,7 +437,7 @@ def _refine_from_alternatives(
         the minima; None if the refit from the motion itself diverges.
     """
     cost = float(minima.costs.min())
-    starts = [(stack, plane) for plane in uncertainty.compute_second_planes(stack, irls_fit)]
+    starts = [(stack, plane) for plane in compute_second_planes(stack, irls_fit)]
     if starts or include_self:
         starts += [
             (stack, Candidate(rotation, translation, stack.depth_model_mean))
@@ -448,8 +449,8 @@ def _refine_from_alternatives(
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))
     for k, (assumed, start) in enumerate(starts):
-        first = make_irls_start(stack, start, irls_fit.sigma_px)
-        refit, costs[k] = uncertainty.fit_edge_on(assumed, probabilities, first)
+        refit = make_irls_start(stack, start, irls_fit.sigma_px)
+        _, _, costs[k] = fit_edge_on(assumed, probabilities, refit)
         rotations[k], translations[k] = refit.candidate.rotation, refit.candidate.translation
         inliers[k] = (refit.weights > 0.0).sum()
     if include_self:
@@ -479,10 +480,9 @@ def warm_up() -> None:
     motion_mixture.correlate_neighbors(stack, fit)
     motion_mixture.divide_inliers(stack, fit)
     motion_mixture.compute_cost(stack, usable > 0, motion_mixture.compute_motion_density(stack, fit))
-    uncertainty.is_flat(stack, fit)
+    is_flat(stack, fit)
     uncertainty.compute_size_if_curved(fit, 0.1)
     uncertainty.minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
-    uncertainty.triangulate_planes(stack, fit, np.empty_like(stack.depth_model_mean))
 
 
 def warm_up_evidence() -> None:

@@ -10,16 +10,14 @@ This uses the noise and the residual depth of the fit, which may differ for anot
 observed, for example, every motion has its own. Along the weakest direction the motion is therefore displaced much
 further and everything else is fitted again. If the result is about as likely, the covariance is inflated to include it.
 
-Other motions may explain the same matches about as well. The matches of a flat object, or of one whose residual depth
-is not visible, agree with two homographies in each camera: of its plane and motion, and of a second plane with another
-motion. Cameras all around resolve this ambiguity. Cameras close together do not, nor does the search always find both.
-The second plane is therefore computed from the first, camera by camera, and tried as a start. Any refined minimum that
+Other motions may explain the same matches about as well, for example with a second plane (`planes`). Cameras all around
+resolve this ambiguity. Cameras close together do not, nor does the search always find both. The second plane is therefore
+computed from the first, camera by camera, and tried as a start. Any refined minimum that
 is nearly as likely and distant is an alternative: the result is then ambiguous. A near one, with its own covariance, is
 included in the covariance.
 
 Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use
-here is ours (docs/method/3-pose.md); the second plane, Ma, Soatto, Kosecka, Sastry, "An Invitation to 3-D Vision",
-section 5.3.
+here is ours (docs/method/3-pose.md).
 """
 
 from __future__ import annotations
@@ -40,7 +38,6 @@ from sylpose.relative_pose.irls import (
     make_tolerance,
     reduce_term,
     run_constrained_irls,
-    run_irls,
 )
 from sylpose.relative_pose.limits import CUTOFF, HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE, SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import (
@@ -58,19 +55,13 @@ from sylpose.relative_pose.terms import (
     Stack,
     apply_step,
     copy_into,
-    transform_to_camera,
 )
 
-# An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
-# noise (chi-squared, once in a thousand times).
-MAX_FLAT_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # A motion that is less likely by this is no alternative: the accuracy of a likelihood (measured:
 # docs/history/benchmarks.md#hard-pairs; deficits of the truth of 0.7 to 11 occurred). The second value is added for each
 # inlier that the likelier motion has in excess. It may explain mismatches by chance, and real images' keypoints have longer
 # tails than the model (measured: a mirror image with 7 of 108 matches more was likelier than the truth by 22).
 MAX_LIKELIHOOD_LOSS, LOSS_PER_EXCESS_INLIER = 12.0, 3.0
-# The prior of a slope is concave beyond this, in its standard deviations, and allows another minimum (derived).
-CONCAVE_SLOPE = 1.0
 # Unknowns of a plane, which a term's matches determine; its curvature comes mostly from the prior (derived).
 N_PLANE = 3
 # Two motions are distinct if one is outside the covariance of the other (chi-squared, once in a thousand times).
@@ -91,161 +82,6 @@ class AlternativeMotion(NamedTuple):
     translation: FloatArray
     step: FloatArray
     is_distant: bool
-
-
-def compute_second_planes(stack: Stack, fit: IrlsFit) -> list[Candidate]:
-    """Compute the motion of each camera's second plane, with that plane as depth model of all cameras.
-
-    Returns:
-        the motions; none if the object is not flat.
-    """
-    out: list[Candidate] = []
-    if not is_flat(stack, fit):
-        return out
-    R, d, depth_model = fit.candidate
-    for t in range(len(stack.focal)):
-        if not fit.weights[stack.offsets[t] : stack.offsets[t + 1]].any():
-            continue
-        qx, qy, unit, spread = stack.qx[t], stack.qy[t], stack.inverse_depth[t], stack.spread[t]
-        tau = qy @ (R @ stack.a1[t] - stack.a2[t] + d)
-        a, b = depth_model[t, 1:3] / spread
-        anchor = np.append(stack.anchor[t], 1.0)
-        normal = unit * np.array([a, b, depth_model[t, 0] - a * anchor[0] - b * anchor[1]])
-        other = _compute_second_plane(qy @ R @ qx.T + np.outer(tau, normal), normal, anchor)
-        if other is not None:
-            rotation, translation = qy.T @ other[0] @ qx, qy.T @ other[1]
-            plane = _transfer_plane(stack, t, other[2])
-            out.append(Candidate(rotation, translation - rotation @ stack.a1[t] + stack.a2[t], plane))
-    return out
-
-
-@kernel
-def is_flat(stack: Stack, fit: IrlsFit) -> bool:
-    """Return whether the object appears flat in all cameras with inliers."""
-    rotation, translation, depth_model = fit.candidate
-    for t in range(len(stack.focal)):
-        inliers, curvature, squares = 0, 0.0, 0.0
-        for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            inliers += fit.weights[i] > 0.0
-        for k in range(3, 6):
-            curvature = max(curvature, abs(depth_model[t, k]))
-        for i in range(3):
-            tau = translation[i] - stack.a2[t, i]
-            for j in range(3):
-                tau += rotation[i, j] * stack.a1[t, j]
-            squares += tau * tau
-        parallax = stack.inverse_depth[t] * np.sqrt(squares) * stack.focal[t] / fit.sigma_px[t]
-        if inliers > 0 and (fit.residual_depth[t] + curvature) * parallax > MAX_FLAT_SIGMAS:
-            return False
-    return True
-
-
-def _transfer_plane(stack: Stack, t: int, normal: FloatArray) -> FloatArray:
-    """Express the plane n'X = 1 of term t as depth models (T, 6) of all terms.
-
-    normal (3,) is n in the axes of the camera in the reference frame. A camera that has the plane behind itself keeps
-    its prior.
-    """
-    out, world = stack.depth_model_mean.copy(), stack.qx[t].T @ normal
-    for k in range(len(out)):
-        plane_distance, anchor = 1.0 - float(world @ (stack.a1[k] - stack.a1[t])), np.append(stack.anchor[k], 1.0)
-        n = stack.qx[k] @ world / (plane_distance if abs(plane_distance) > 1e-9 else 1e-9)
-        if n @ anchor > 0.0:
-            out[k] = 0.0
-            out[k, :3] = np.array([n @ anchor, *(stack.spread[k] * n[:2])]) / stack.inverse_depth[k]
-    return out
-
-
-def fit_edge_on(stack: Stack, usable: InlierPrior, fit: IrlsFit) -> tuple[IrlsFit, float]:
-    """Run re-weighted least squares, and again from steep planes if the inliers show them.
-
-    The prior of the slopes has long tails: a plane that is seen edge on, and a rough surface that faces the camera, are
-    two minima between which no step leads.
-
-    Returns:
-        the likelier fit; its cost, as that of `run_irls`.
-    """
-    _, _, cost = run_irls(stack, usable, fit, SIGMA_FLOOR_PX)
-    if not cost < np.inf:
-        return fit, np.inf
-    planes = np.empty_like(fit.candidate.depth_model)
-    if triangulate_planes(stack, fit, planes) <= CONCAVE_SLOPE:
-        return fit, cost
-    edge_on = make_irls_start(stack, fit.candidate._replace(depth_model=planes), fit.sigma_px)
-    _, _, new_cost = run_irls(stack, usable, edge_on, SIGMA_FLOOR_PX)
-    return (edge_on, new_cost) if new_cost < cost else (fit, cost)
-
-
-@kernel
-def triangulate_planes(stack: Stack, fit: IrlsFit, planes: FloatArray) -> float:
-    """Triangulate a fit's inliers with its motion, and fit a plane to those of each camera.
-
-    The prior of the slopes is that the points are within the object's radius.
-
-    Args:
-        planes: (T, 6) receives them as depth models.
-
-    Returns:
-        the largest change of a slope of the fit, in standard deviations of its prior.
-    """
-    rc, tc, rotated, largest = np.empty((3, 3)), np.empty(3), np.empty(3), 0.0
-    matrix, right, row = np.empty((3, 3)), np.empty(3), np.ones(3)
-    for t in range(len(planes)):
-        transform_to_camera(stack, t, fit.candidate, rc, tc, rotated)
-        prior, count = stack.depth_model_information[t], 0
-        for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            count += fit.weights[i] > 0.0
-        matrix[:], right[:], planes[t] = 0.0, 0.0, stack.depth_model_mean[t]
-        matrix[0, 0], right[0] = prior[0, 0], prior[0, 0] * planes[t, 0]
-        variance, within_radius = (fit.sigma_px[t] / stack.focal[t]) ** 2, (2.0 * stack.spread[t]) ** -2 / max(count, 1)
-        for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            if not fit.weights[i] > 0.0:
-                continue
-            x0, x1, y0, y1 = stack.x[i, 0], stack.x[i, 1], stack.y[i, 0], stack.y[i, 1]
-            row[1], row[2] = (x0 - stack.anchor[t, 0]) / stack.spread[t], (x1 - stack.anchor[t, 1]) / stack.spread[t]
-            v0, v1 = rc[0, 0] * x0 + rc[0, 1] * x1 + rc[0, 2], rc[1, 0] * x0 + rc[1, 1] * x1 + rc[1, 2]
-            v2 = rc[2, 0] * x0 + rc[2, 1] * x1 + rc[2, 2]
-            # (y0, y1, 1) is parallel to v + ρ τ: a ρ = b, two equations of one unknown.
-            a0, a1 = stack.inverse_depth[t] * (tc[0] - y0 * tc[2]), stack.inverse_depth[t] * (tc[1] - y1 * tc[2])
-            square, product = a0 * a0 + a1 * a1, a0 * (y0 * v2 - v0) + a1 * (y1 * v2 - v1)
-            weight = 1.0 / (variance * v2 * v2 + stack.residual_depth[t] ** 2 * square)
-            for j in range(3):
-                right[j] += weight * product * row[j]
-                for k in range(3):
-                    matrix[j, k] += (weight * square + (within_radius if min(j, k) > 0 else 0.0)) * row[j] * row[k]
-        if not cholesky_solve(matrix, right):
-            continue  # too few inliers
-        planes[t, :3], planes[t, 3:] = right, 0.0
-        for j in range(1, 3):
-            change = abs(right[j] - fit.candidate.depth_model[t, j])
-            largest = max(largest, change * np.sqrt(prior[j, j]))
-    return largest
-
-
-def _compute_second_plane(
-    H: FloatArray, normal: FloatArray, anchor: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return (R, τ, n) of the second plane of the homography H = R + τ n'; None if there is only one plane.
-
-    Both planes have the same depth at the anchor.
-    """
-    _, values, rows = np.linalg.svd(H)
-    H, values = H / values[1], values / values[1]
-    excess, deficit = values[0] ** 2 - 1.0, 1.0 - values[2] ** 2
-    if not (excess > 1e-12 and deficit > 1e-12):
-        return None
-    middle = rows[1]
-    solutions = []
-    for sign in (1.0, -1.0):
-        u = (np.sqrt(deficit) * rows[0] + sign * np.sqrt(excess) * rows[2]) / np.sqrt(excess + deficit)
-        n, mapped = np.cross(middle, u), np.stack([H @ middle, H @ u])
-        R = np.column_stack([*mapped, np.cross(mapped[0], mapped[1])]) @ np.stack([middle, u, n])
-        solutions.append((abs(float(n @ normal)), R, n))
-    _, R, n = min(solutions, key=lambda solution: solution[0])
-    if not abs(n @ anchor) > 1e-3:
-        return None
-    n = n * float(normal @ anchor) / float(n @ anchor)
-    return R, (H - R) @ n / float(n @ n), n
 
 
 def merge_minima(first: RefinedMinima, second: RefinedMinima) -> RefinedMinima:

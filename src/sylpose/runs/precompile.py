@@ -125,7 +125,7 @@ class Part(NamedTuple):
 # Longest first: about three fifths and two fifths of the time. More parts would take longer together: what several of them
 # call is compiled in each (measured: docs/history/benchmarks.md, "The first start").
 PARTS = {
-    "solver": Part(warm_up, uncertainty.triangulate_planes),
+    "solver": Part(warm_up, uncertainty.minimize_across_valley),
     "tracking": Part(compile_tracking, static_background.fill_patches),
 }
 # Number of functions compiled by all parts, those of both counted twice (measured: Numba 0.68; one process compiles fewer,
@@ -145,7 +145,7 @@ def is_compiled() -> bool:
 
 def find_kernel_cache() -> Path | None:
     """Return the cache folder of the compiled kernels, or None if no folder can be written."""
-    return cache_folder(uncertainty.triangulate_planes)
+    return cache_folder(uncertainty.minimize_across_valley)
 
 
 def compile_all(on_progress: Callable[[float], None] | None = None) -> None:
