@@ -129,13 +129,13 @@ def test_plane_seen_edge_on_is_fitted() -> None:
     rough = make_irls_start(stack, start, found.sigma_px)
     _, _, cost = run_irls(stack, usable, rough, SIGMA_FLOOR_PX)
     steep = make_irls_start(stack, start, found.sigma_px)
-    _, _, new_cost = fit_edge_on(stack, usable, steep)
+    _, _, new_cost = fit_edge_on(stack, usable, steep, True)
     assert new_cost < cost - 50.0
     assert np.abs(steep.candidate.depth_model[0, 1:3]).min() > 5.0 * np.abs(rough.candidate.depth_model[0, 1:3]).max()
     # Where the surface faces the cameras, nothing changes.
     stack, found = fit_from_truth("two cameras", 1)
     again = make_irls_start(stack, found.candidate, found.sigma_px)
-    _, _, same_cost = fit_edge_on(stack, np.ones(len(stack.x)), again)
+    _, _, same_cost = fit_edge_on(stack, np.ones(len(stack.x)), again, True)
     assert again.candidate.rotation == pytest.approx(found.candidate.rotation, abs=1e-3)
     assert np.isfinite(same_cost)
 

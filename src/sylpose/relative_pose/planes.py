@@ -51,6 +51,22 @@ def compute_second_planes(stack: Stack, fit: IrlsFit) -> list[Candidate]:
     return out
 
 
+def _transfer_plane(stack: Stack, t: int, normal: FloatArray) -> FloatArray:
+    """Express the plane n'X = 1 of term t as depth models (T, 6) of all terms.
+
+    normal (3,) is n in the axes of the camera in the reference frame. A camera that has the plane behind itself keeps
+    its prior.
+    """
+    out, world = stack.depth_model_mean.copy(), stack.qx[t].T @ normal
+    for k in range(len(out)):
+        plane_distance, anchor = 1.0 - float(world @ (stack.a1[k] - stack.a1[t])), np.append(stack.anchor[k], 1.0)
+        n = stack.qx[k] @ world / (plane_distance if abs(plane_distance) > 1e-9 else 1e-9)
+        if n @ anchor > 0.0:
+            out[k] = 0.0
+            out[k, :3] = np.array([n @ anchor, *(stack.spread[k] * n[:2])]) / stack.inverse_depth[k]
+    return out
+
+
 @kernel
 def is_flat(stack: Stack, fit: IrlsFit) -> bool:
     """Return whether the object appears flat in all cameras with inliers."""
@@ -72,28 +88,16 @@ def is_flat(stack: Stack, fit: IrlsFit) -> bool:
     return True
 
 
-def _transfer_plane(stack: Stack, t: int, normal: FloatArray) -> FloatArray:
-    """Express the plane n'X = 1 of term t as depth models (T, 6) of all terms.
-
-    normal (3,) is n in the axes of the camera in the reference frame. A camera that has the plane behind itself keeps
-    its prior.
-    """
-    out, world = stack.depth_model_mean.copy(), stack.qx[t].T @ normal
-    for k in range(len(out)):
-        plane_distance, anchor = 1.0 - float(world @ (stack.a1[k] - stack.a1[t])), np.append(stack.anchor[k], 1.0)
-        n = stack.qx[k] @ world / (plane_distance if abs(plane_distance) > 1e-9 else 1e-9)
-        if n @ anchor > 0.0:
-            out[k] = 0.0
-            out[k, :3] = np.array([n @ anchor, *(stack.spread[k] * n[:2])]) / stack.inverse_depth[k]
-    return out
-
-
 @kernel
-def fit_edge_on(stack: Stack, usable: InlierPrior, fit: IrlsFit) -> tuple[int, float, float]:
+def fit_edge_on(stack: Stack, usable: InlierPrior, fit: IrlsFit, must_be_flat: bool) -> tuple[int, float, float]:
     """Run re-weighted least squares, and again from steep planes if the inliers show them; keep the likelier fit, in place.
 
     The prior of the slopes has long tails: a plane that is seen edge on, and a rough surface that faces the camera, are
     two minima between which no step leads.
+
+    Args:
+        must_be_flat: whether steep planes count only if the object is flat with them. Otherwise they may explain the matches
+            of two motions.
 
     Returns:
         as `run_irls`.
@@ -106,7 +110,7 @@ def fit_edge_on(stack: Stack, usable: InlierPrior, fit: IrlsFit) -> tuple[int, f
     copy_into(edge_on.candidate, fit.candidate)
     edge_on.candidate.depth_model[:], edge_on.sigma_px[:] = planes, fit.sigma_px
     done, new_decrease, new_cost = run_constrained_irls(stack, usable, edge_on, SIGMA_FLOOR_PX, np.zeros(6))
-    if not new_cost < cost:
+    if not new_cost < cost or (must_be_flat and not is_flat(stack, edge_on)):
         return iterations + done, decrease, cost
     copy_fit(fit, edge_on)
     return iterations + done, new_decrease, new_cost

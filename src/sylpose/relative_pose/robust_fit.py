@@ -108,7 +108,7 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
             trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
             trial.candidate.depth_model[:] = stack.depth_model_mean
             trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
-            done, new_decrease, cost = fit_edge_on(stack, usable, trial)
+            done, new_decrease, cost = fit_edge_on(stack, usable, trial, True)
             iterations, k = iterations + done, MAX_HYPOTHESES * pass_index + m
             refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()

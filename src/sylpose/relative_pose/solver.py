@@ -391,7 +391,7 @@ def _consider_alternatives(
         if likeliest.is_distant:
             return minima, motion, information
         start = make_irls_start(stack, Candidate(*motion, stack.depth_model_mean), irls_fit.sigma_px)
-        _, _, refit_cost = fit_edge_on(stack, probabilities, start)
+        _, _, refit_cost = fit_edge_on(stack, probabilities, start, False)
         # A near alternative is two standard deviations away.
         columns = [UNOBSERVABLE_RATIO * likeliest.step[:, None]]
         columns += [uncertainty.compute_square_root(start.information, radius)] if refit_cost < np.inf else []
@@ -450,7 +450,7 @@ def _refine_from_alternatives(
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))
     for k, (assumed, start) in enumerate(starts):
         refit = make_irls_start(stack, start, irls_fit.sigma_px)
-        _, _, costs[k] = fit_edge_on(assumed, probabilities, refit)
+        _, _, costs[k] = fit_edge_on(assumed, probabilities, refit, False)
         rotations[k], translations[k] = refit.candidate.rotation, refit.candidate.translation
         inliers[k] = (refit.weights > 0.0).sum()
     if include_self:
