@@ -221,7 +221,7 @@ def find_pixel_axes(rig: Rig, data: Sequence[TermData], excess: FloatArray) -> s
         excess: (T,) as they are (`camera_evidence`).
 
     Returns:
-        the only one of `PIXEL_AXES` that explains the contradiction, as text; "" if there is none.
+        those of `PIXEL_AXES` that explain the contradiction, as text; "" if there is none.
     """
     cameras = [rig.cameras[term.camera] for term in data]
     pixels = [(camera.denormalize(t.x), camera.denormalize(t.y)) for camera, t in zip(cameras, data, strict=True)]
@@ -231,10 +231,11 @@ def find_pixel_axes(rig: Rig, data: Sequence[TermData], excess: FloatArray) -> s
         # Without a camera the others agree more easily.
         is_known = np.isfinite(found).sum() >= np.isfinite(excess).sum()
         ratios.append(compute_f_ratio(found, len(found)) if is_known else np.inf)
-    best, *others = np.argsort(ratios).tolist()
-    is_better = ratios[best] <= MAX_AGREEING and MIN_AXES_REDUCTION * ratios[best] < given
-    is_only = not any(explains_as_well(ratios[k], ratios[best]) for k in others)
-    return [*PIXEL_AXES.values()][best] if is_better and is_only else ""
+    best = min(ratios)
+    if not (best <= MAX_AGREEING and MIN_AXES_REDUCTION * best < given):
+        return ""
+    alike = [text for text, ratio in zip(PIXEL_AXES.values(), ratios, strict=True) if explains_as_well(ratio, best)]
+    return " or ".join(alike)
 
 
 def _undo(rig: Rig, pair: FramePair, hypothesis: Hypothesis) -> list[tuple[Camera, CameraMatches]]:

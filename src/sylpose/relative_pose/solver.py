@@ -27,7 +27,7 @@ from sylpose.relative_pose.camera_evidence import (
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
-from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, SIGMA_FLOOR_PX
+from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, MAX_STEPS, SIGMA_FLOOR_PX
 from sylpose.relative_pose.planes import compute_second_planes, fit_edge_on, is_flat
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import (
@@ -158,12 +158,16 @@ def _exceeds_chance(
     if sum(map(len, permuted)) < MIN_MATCHES:
         return checks.has_certain_inliers
     costs = list[float]()
-    for _ in range(N_PERMUTED_FITS):
+    for _ in range(MAX_STEPS):
         y = stack.y.copy()
         for index in permuted:
             y[index] = y[rng.permutation(index)]
-        costs.append(float(draw_and_fit(stack._replace(y=y), usable, starts, rng).minima.costs.min()))
-    return float(result.minima.costs.min()) < CHANCE_LIKELIHOOD_FACTOR * min(*costs, 0.0)
+        # A search that finds no motion at all shows nothing.
+        cost = float(draw_and_fit(stack._replace(y=y), usable, starts, rng).minima.costs.min())
+        costs += [cost] if cost < np.inf else []
+        if len(costs) == N_PERMUTED_FITS:
+            return float(result.minima.costs.min()) < CHANCE_LIKELIHOOD_FACTOR * min(*costs, 0.0)
+    return checks.has_certain_inliers
 
 
 def _is_all_static(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
