@@ -380,9 +380,8 @@ def _consider_alternatives(
     needs_alternatives = is_clear and not len(observability.find_unobservable_motions(R, d, *information, radius))
     may_be_weak = needs_alternatives and checks.may_be_curved
     weakly_observed = may_be_weak and uncertainty.has_weak_direction(stack, irls_fit, radius)
-    cost = float(minima.costs.min())
     if needs_alternatives:
-        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, minima, weakly_observed)
+        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, minima, radius, weakly_observed)
         if refined_minima is None:
             return None
         minima = uncertainty.merge_minima(minima, refined_minima)
@@ -400,9 +399,6 @@ def _consider_alternatives(
         columns = [UNOBSERVABLE_RATIO * likeliest.step[:, None]]
         columns += [uncertainty.compute_square_root(start.information, radius)] if refit_cost < np.inf else []
         information = _inflate_both(information, np.column_stack(columns))
-    if weakly_observed:
-        for step, loss in uncertainty.refit_along_weak_direction(stack, probabilities, irls_fit, radius, cost):
-            information = _inflate_both(information, uncertainty.inflate_covariance(information[0], step, loss))
     return minima, None, information
 
 
@@ -423,7 +419,12 @@ def _remove_rod_rotation(stack: Stack, usable: FloatArray, result: RobustFit, ro
 
 
 def _refine_from_alternatives(
-    stack: Stack, probabilities: FloatArray, irls_fit: IrlsFit, minima: RefinedMinima, include_self: bool
+    stack: Stack,
+    probabilities: FloatArray,
+    irls_fit: IrlsFit,
+    minima: RefinedMinima,
+    radius: float,
+    include_self: bool,
 ) -> RefinedMinima | None:
     """Refit from the second planes of flat objects, the other minima, and the motion itself with other depths.
 
@@ -449,6 +450,8 @@ def _refine_from_alternatives(
         ]
         starts += [(stack._replace(marginalized_share=share), irls_fit.candidate) for share in (0.0, 1.0)]
     if include_self:
+        displaced = uncertainty.displace_along_weak_direction(stack, probabilities, irls_fit, radius)
+        starts += [(stack, candidate) for candidate in displaced]
         starts.append((stack, irls_fit.candidate._replace(depth_model=stack.depth_model_mean)))
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))

@@ -203,47 +203,29 @@ def has_weak_direction(stack: Stack, fit: IrlsFit, radius: float) -> bool:
     return len(sd) > 0
 
 
-def refit_along_weak_direction(
-    stack: Stack, usable: InlierPrior, fit: IrlsFit, radius: float, cost: float
-) -> list[tuple[FloatArray, float]]:
+def displace_along_weak_direction(stack: Stack, usable: InlierPrior, fit: IrlsFit, radius: float) -> list[Candidate]:
     """Displace the motion far along its weakest direction, both ways, and fit everything else again.
 
     Args:
         usable, fit, radius: as for `compute_curvature_covariance`.
-        cost: of the fit (`run_irls`).
 
     Returns:
-        for each side, the step (w, d) from the fit to the result, and the increase of the negative log-likelihood.
+        the results, none if no direction is weak.
     """
     size, sd, vectors, scale = _find_weak_axes(stack, fit, radius)
     if len(sd) == 0:
         return []
     along, constraint = scale * vectors[:, 0], vectors[:, 0] / scale
     constraint /= np.linalg.norm(constraint)
-    out, length = [], min(CUTOFF * float(sd[0]), size)
+    out, length = list[Candidate](), min(CUTOFF * float(sd[0]), size)
     for step_length in (-length, length):
         refit = make_irls_start(stack, fit.candidate, fit.sigma_px)
         apply_rotvec(step_length * along[:3], fit.candidate.rotation, refit.candidate.rotation)
         refit.candidate.translation[:] += step_length * along[3:]
-        _, _, new_cost = run_constrained_irls(stack, usable, refit, SIGMA_FLOOR_PX, constraint)
-        if np.isfinite(new_cost):
-            step = _compute_step(*refit.candidate[:2], *fit.candidate[:2])
-            out.append((step, float(new_cost) - cost))
+        _, _, cost = run_constrained_irls(stack, usable, refit, SIGMA_FLOOR_PX, constraint)
+        if cost < np.inf:
+            out.append(refit.candidate)
     return out
-
-
-def inflate_covariance(information: FloatArray, step: FloatArray, likelihood_loss: float) -> FloatArray:
-    """Return a column (6, m) that inflates the covariance of (w, d) to include a motion at a step (6,).
-
-    m is 0 if the covariance is not much too small.
-
-    Args:
-        likelihood_loss: decrease of the log-likelihood at that motion.
-    """
-    square, target_square = float(step @ information @ step), max(2.0 * likelihood_loss, MAX_INCLUDED_SIGMAS**2)
-    if not square > MIN_VARIANCE_DEFICIT * target_square:
-        return np.empty((6, 0))
-    return np.asarray(step[:, None] * np.sqrt(1.0 / target_square - 1.0 / square))
 
 
 def _find_weak_axes(stack: Stack, fit: IrlsFit, radius: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
