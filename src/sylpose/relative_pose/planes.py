@@ -1,9 +1,6 @@
-"""Planes as depth models of flat objects: seen edge on, or the second one that the same matches allow.
+"""Planes as depth models of flat objects, also if they are seen edge on.
 
-A plane seen edge on is a minimum of its own. And the matches of a flat object, or of one whose residual depth is not
-visible, agree with two homographies in each camera: of its plane and motion, and of a second plane with another motion.
-
-Source: Ma, Soatto, Kosecka, Sastry, "An Invitation to 3-D Vision", section 5.3 (the second plane).
+Such a plane, and a rough surface that faces the camera, are two minima of the same motion.
 """
 
 from __future__ import annotations
@@ -16,55 +13,13 @@ from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import IrlsFit, copy_fit, make_empty_irls_fit, run_constrained_irls
 from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import InlierPrior
-from sylpose.relative_pose.terms import Candidate, Stack, copy_into, transform_to_camera
+from sylpose.relative_pose.terms import Stack, copy_into, transform_to_camera
 
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
 # noise (chi-squared, once in a thousand times).
 MAX_FLAT_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # The prior of a slope is concave beyond this, in its standard deviations, and allows another minimum (derived).
 CONCAVE_SLOPE = 1.0
-
-
-def compute_second_planes(stack: Stack, fit: IrlsFit) -> list[Candidate]:
-    """Compute the motion of each camera's second plane, with that plane as depth model of all cameras.
-
-    Returns:
-        the motions; none if the object is not flat.
-    """
-    out: list[Candidate] = []
-    if not is_flat(stack, fit):
-        return out
-    R, d, depth_model = fit.candidate
-    for t in range(len(stack.focal)):
-        if not fit.weights[stack.offsets[t] : stack.offsets[t + 1]].any():
-            continue
-        qx, qy, unit, spread = stack.qx[t], stack.qy[t], stack.inverse_depth[t], stack.spread[t]
-        tau = qy @ (R @ stack.a1[t] - stack.a2[t] + d)
-        a, b = depth_model[t, 1:3] / spread
-        anchor = np.append(stack.anchor[t], 1.0)
-        normal = unit * np.array([a, b, depth_model[t, 0] - a * anchor[0] - b * anchor[1]])
-        other = _compute_second_plane(qy @ R @ qx.T + np.outer(tau, normal), normal, anchor)
-        if other is not None:
-            rotation, translation = qy.T @ other[0] @ qx, qy.T @ other[1]
-            plane = _transfer_plane(stack, t, other[2])
-            out.append(Candidate(rotation, translation - rotation @ stack.a1[t] + stack.a2[t], plane))
-    return out
-
-
-def _transfer_plane(stack: Stack, t: int, normal: FloatArray) -> FloatArray:
-    """Express the plane n'X = 1 of term t as depth models (T, 6) of all terms.
-
-    normal (3,) is n in the axes of the camera in the reference frame. A camera that has the plane behind itself keeps
-    its prior.
-    """
-    out, world = stack.depth_model_mean.copy(), stack.qx[t].T @ normal
-    for k in range(len(out)):
-        plane_distance, anchor = 1.0 - float(world @ (stack.a1[k] - stack.a1[t])), np.append(stack.anchor[k], 1.0)
-        n = stack.qx[k] @ world / (plane_distance if abs(plane_distance) > 1e-9 else 1e-9)
-        if n @ anchor > 0.0:
-            out[k] = 0.0
-            out[k, :3] = np.array([n @ anchor, *(stack.spread[k] * n[:2])]) / stack.inverse_depth[k]
-    return out
 
 
 @kernel
@@ -160,29 +115,3 @@ def triangulate_planes(stack: Stack, fit: IrlsFit, planes: FloatArray) -> float:
             change = abs(right[j] - fit.candidate.depth_model[t, j])
             largest = max(largest, change * np.sqrt(prior[j, j]))
     return largest
-
-
-def _compute_second_plane(
-    H: FloatArray, normal: FloatArray, anchor: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return (R, τ, n) of the second plane of the homography H = R + τ n'; None if there is only one plane.
-
-    Both planes have the same depth at the anchor.
-    """
-    _, values, rows = np.linalg.svd(H)
-    H, values = H / values[1], values / values[1]
-    excess, deficit = values[0] ** 2 - 1.0, 1.0 - values[2] ** 2
-    if not (excess > 1e-12 and deficit > 1e-12):
-        return None
-    middle = rows[1]
-    solutions = []
-    for sign in (1.0, -1.0):
-        u = (np.sqrt(deficit) * rows[0] + sign * np.sqrt(excess) * rows[2]) / np.sqrt(excess + deficit)
-        n, mapped = np.cross(middle, u), np.stack([H @ middle, H @ u])
-        R = np.column_stack([*mapped, np.cross(mapped[0], mapped[1])]) @ np.stack([middle, u, n])
-        solutions.append((abs(float(n @ normal)), R, n))
-    _, R, n = min(solutions, key=lambda solution: solution[0])
-    if not abs(n @ anchor) > 1e-3:
-        return None
-    n = n * float(normal @ anchor) / float(n @ anchor)
-    return R, (H - R) @ n / float(n @ n), n

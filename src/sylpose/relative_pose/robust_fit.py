@@ -68,13 +68,16 @@ class RobustFit(NamedTuple):
 
 
 @kernel
-def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guesses: InitialMotions) -> RobustFit:
+def fit_robust_motion(
+    stack: Stack, usable: FloatArray, picks: FloatArray, guesses: InitialMotions, must_be_flat: bool
+) -> RobustFit:
     """Fit one robust motion: seeds per term, minima of all seeds together, re-weighting of the best.
 
     Args:
         usable: (N,) 1 for matches that may be inliers, else 0.
         picks: (h, 4) in [0, 1): random numbers that select the seeds' quadruples.
         guesses: initial motions in addition to the built-in ones.
+        must_be_flat: as for `fit_edge_on`.
     """
     fit = make_empty_irls_fit(stack)
     k = N_PASSES * MAX_HYPOTHESES
@@ -103,13 +106,20 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
                 continue
             if pass_index > 0 and _is_refined(minima.rotations[m], refined, MAX_HYPOTHESES * pass_index + m):
                 continue
-            # Start at the minimum, with everything else at its prior.
-            trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
-            trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
-            trial.candidate.depth_model[:] = stack.depth_model_mean
-            trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
-            done, new_decrease, cost = fit_edge_on(stack, usable, trial, True)
-            iterations, k = iterations + done, MAX_HYPOTHESES * pass_index + m
+            for n_known in range(2):
+                # Start at the minimum, with everything else at its prior; if that diverges, at its distances, too.
+                trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
+                trial.candidate.rotation[:], trial.candidate.translation[:] = (
+                    minima.rotations[m],
+                    minima.translations[m],
+                )
+                trial.candidate.depth_model[:] = stack.depth_model_mean
+                trial.candidate.depth_model[:, 1 - n_known : 3] = minima.depth_models[m, :, 1 - n_known :]
+                done, new_decrease, cost = fit_edge_on(stack, usable, trial, must_be_flat)
+                iterations += done
+                if cost < np.inf:
+                    break
+            k = MAX_HYPOTHESES * pass_index + m
             refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
             if cost < best:
@@ -164,7 +174,7 @@ def _refit_with_more_noise(
 def draw_and_fit(stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: np.random.Generator) -> RobustFit:
     """Run `fit_robust_motion` with quadruples drawn from rng."""
     # Pass probabilities, as for a mixture: a single compiled version is sufficient.
-    return fit_robust_motion(stack, usable.astype(np.float64), rng.random((N_QUADRUPLES, 4)), guesses)
+    return fit_robust_motion(stack, usable.astype(np.float64), rng.random((N_QUADRUPLES, 4)), guesses, True)
 
 
 @kernel

@@ -4,21 +4,6 @@ The planar part of the cost has no local minimum near the identity, so the searc
 rotations and transparent bodies cause mirrored minima. Each camera alone always has one: the rotation component across
 its axis reversed, near and far exchanged. Mirror images of the first minimum are therefore tried as well, and the
 likeliest wins.
-
-The affine image motion of a flat object adds initial rotations.
-
-To first order, a plane that rotates by w and whose depth has the relative slopes s across the image is mapped by
-
-    A = (1 + σ) 1 + ω J + r s',      r = (w_y, -w_x),  ω = w_z in the camera's axes,  J a quarter turn,
-
-with σ from its approach. A without σ and ω has determinant zero: a quadratic equation with two solutions, that of the
-plane and that of the second plane. Neither determines the length of r, so each gives a line of rotations. The lines of
-the cameras meet in the rotation. Others may pass each other nearly as closely, with two cameras in particular: the search
-starts at the points where one line of each camera meets best.
-
-Source: first-order structure from motion of planes, Longuet-Higgins, "The reconstruction of a plane surface from two
-perspective projections", 1984; the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the intersection of the
-lines is ours.
 """
 
 from __future__ import annotations
@@ -27,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.normal_equations import eliminate_block
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf, so3_exp, so3_log
 from sylpose.relative_pose.limits import (
     DECREASE_OF_ONE_SD,
-    HALF_DIGITS,
     MAX_ROTATION_STEP,
     MAX_ROUNDS,
     MAX_STEPS,
@@ -49,7 +33,7 @@ from sylpose.relative_pose.moments_cost import (
     make_term_view,
     update_view,
 )
-from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into
+from sylpose.relative_pose.terms import Candidate, InitialMotions, Stack, copy_into
 
 # Steps after which a start is checked, and how far its log-likelihood may then be behind the best. Earlier checks lose true
 # motions (measured: creeps in benchmarks/kinds.py, 48 degrees off); without one, two bodies are found as one motion
@@ -272,166 +256,6 @@ def compute_log_likelihood(stack: Stack, sums: MomentSums, candidate: Candidate,
     return -0.5 * total
 
 
-@kernel
-def estimate_affine_rotations(stack: Stack, sums: MomentSums, rotvecs: FloatArray) -> int:
-    """Set `rotvecs` to rotation vectors that fit the affine maps of the matches.
-
-    Args:
-        rotvecs: (K, 3), filled with the points where one line of each term meets best, in this order.
-
-    Returns:
-        number of rotation vectors.
-    """
-    n, n_lines = stack.focal.shape[0], 0
-    points, along = np.empty((n, 2, 3)), np.empty((n, 2, 3))
-    translation = _estimate_translation(stack, sums)
-    for t in range(n):
-        n_lines += _compute_rotation_lines(stack, sums, t, translation, points[n_lines], along[n_lines])
-    points, along = points[:n_lines], along[:n_lines]
-    gaps, rotvec, chosen = np.full(len(rotvecs), np.inf), np.empty(3), np.empty(n_lines, np.int64)
-    # Two lines meet somewhere; of each other term the line that passes nearer belongs to the same rotation. Of many terms,
-    # a few are enough to begin with.
-    n_first = min(n_lines, MAX_HYPOTHESES)
-    for a in range(n_first):
-        for b in range(a + 1, n_first):
-            s, t = a * n_lines // n_first, b * n_lines // n_first
-            for k in range(4):
-                chosen[:] = -1
-                chosen[s], chosen[t] = k & 1, k >> 1
-                if not _intersect_lines(points, along, chosen, rotvec):
-                    continue
-                for other in range(n_lines):
-                    if chosen[other] < 0:
-                        first = _measure_distance(points[other, 0], along[other, 0], rotvec)
-                        second = _measure_distance(points[other, 1], along[other, 1], rotvec)
-                        chosen[other] = 0 if first <= second else 1
-                # Lines that are nearly parallel meet beyond all rotations.
-                if not _intersect_lines(points, along, chosen, rotvec) or dot(rotvec, rotvec) > np.pi**2:
-                    continue
-                gap = 0.0
-                for term in range(n_lines):
-                    gap += _measure_distance(points[term, chosen[term]], along[term, chosen[term]], rotvec)
-                _insert_rotvec(rotvec, gap, rotvecs, gaps)
-    return int(np.isfinite(gaps).sum())
-
-
-@kernel
-def _intersect_lines(points: FloatArray, along: FloatArray, chosen: IntArray, rotvec: FloatArray) -> bool:
-    """Set rotvec (3,) to the point nearest to one chosen line of each term, or to none if -1; False without a point."""
-    left = np.zeros((3, 3))
-    rotvec[:] = 0.0
-    for t in range(len(chosen)):
-        if chosen[t] < 0:
-            continue
-        u, p = along[t, chosen[t]], points[t, chosen[t]]
-        along_line = dot(p, u)
-        for i in range(3):
-            rotvec[i] += p[i] - along_line * u[i]
-            for j in range(3):
-                left[i, j] -= u[i] * u[j]
-            left[i, i] += 1.0 + HALF_DIGITS
-    return cholesky_solve(left, rotvec)
-
-
-@leaf
-def _measure_distance(point: FloatArray, along: FloatArray, rotvec: FloatArray) -> float:
-    """Return the squared distance of a rotation vector from a line."""
-    square, along_line = 0.0, 0.0
-    for i in range(3):
-        difference = rotvec[i] - point[i]
-        square += difference * difference
-        along_line += difference * along[i]
-    return square - along_line * along_line
-
-
-@kernel
-def _insert_rotvec(rotvec: FloatArray, gap: float, rotvecs: FloatArray, gaps: FloatArray) -> None:
-    """Insert a rotation vector into the list sorted by gaps unless it is a duplicate."""
-    last = len(gaps) - 1
-    for k in range(last + 1):
-        difference = rotvecs[k] - rotvec
-        if np.isfinite(gaps[k]) and dot(difference, difference) <= SAME_MOTION**2 * dot(rotvec, rotvec):
-            return
-    if not gap < gaps[last]:
-        return
-    k = last
-    while k > 0 and gap < gaps[k - 1]:
-        rotvecs[k], gaps[k] = rotvecs[k - 1], gaps[k - 1]
-        k -= 1
-    rotvecs[k], gaps[k] = rotvec, gap
-
-
-@kernel
-def _estimate_translation(stack: Stack, sums: MomentSums) -> FloatArray:
-    """Estimate the translation (3,) of the object's center from the mean displacements."""
-    left, right = np.zeros((3, 3)), np.zeros(3)
-    for t in range(stack.focal.shape[0]):
-        m, q = sums.moments[t], stack.qy[t]
-        count = m[8, 8]
-        for f in range(2):
-            x, y = m[8, 6 + f] / count, m[8, 3 * f + 2] / count
-            for i in range(3):
-                row_i = (q[f, i] - x * q[2, i]) * stack.inverse_depth[t]
-                right[i] += row_i * (y - x)
-                for j in range(3):
-                    left[i, j] += row_i * (q[f, j] - x * q[2, j]) * stack.inverse_depth[t]
-    trace = left[0, 0] + left[1, 1] + left[2, 2]
-    for i in range(3):
-        left[i, i] += 1e-6 * trace
-    if not cholesky_solve(left, right):
-        right[:] = 0.0
-    return right
-
-
-@kernel
-def _compute_rotation_lines(
-    stack: Stack, sums: MomentSums, t: int, translation: FloatArray, points: FloatArray, along: FloatArray
-) -> bool:
-    """Compute a camera's two lines of rotations: points (2, 3) and directions (2, 3), world.
-
-    Returns:
-        whether the lines exist.
-    """
-    m, q = sums.moments[t], stack.qy[t]
-    count = m[8, 8]
-    if not count >= MIN_MATCHES:
-        return False
-    for i in range(3):
-        for j in range(3):
-            if abs(q[i, j] - stack.qx[t, i, j]) > COINCIDENCE_TOLERANCE:
-                return False
-    # The least-squares affine map.
-    x0, x1 = m[8, 6] / count, m[8, 7] / count
-    c00, c01, c11 = m[6, 6] / count - x0 * x0, m[6, 7] / count - x0 * x1, m[7, 7] / count - x1 * x1
-    det = c00 * c11 - c01 * c01
-    # Points on a line, up to noise, determine no map.
-    if not det > sums.variance[t] * (c00 + c11):
-        return False
-    approach = (q[2, 0] * translation[0] + q[2, 1] * translation[1] + q[2, 2] * translation[2]) * stack.inverse_depth[t]
-    a = np.empty((2, 2))
-    for f in range(2):
-        y = m[8, 3 * f + 2] / count
-        b0, b1 = m[8, 3 * f] / count - y * x0, m[8, 3 * f + 1] / count - y * x1
-        a[f, 0], a[f, 1] = (c11 * b0 - c01 * b1) / det, (c00 * b1 - c01 * b0) / det
-        a[f, f] += approach - 1.0
-    # det (a - ω J) = ω² + (a01 - a10) ω + det a = 0
-    half = 0.5 * (a[1, 0] - a[0, 1])
-    root = np.sqrt(max(half * half - (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]), 0.0))
-    for k in range(2):
-        omega = half + (root if k == 0 else -root)
-        b00, b01, b10, b11 = a[0, 0], a[0, 1] + omega, a[1, 0] - omega, a[1, 1]
-        # r is the image of b = r s', its longer column.
-        first = b00 * b00 + b10 * b10 > b01 * b01 + b11 * b11
-        r0, r1 = (b00, b10) if first else (b01, b11)
-        length = np.sqrt(r0 * r0 + r1 * r1)
-        if not length > 0.0:
-            return False
-        for i in range(3):
-            points[k, i] = omega * q[2, i]
-            along[k, i] = (-r1 * q[0, i] + r0 * q[1, i]) / length
-    return True
-
-
 class Minima(NamedTuple):
     """The K likeliest minima, best first.
 
@@ -473,12 +297,10 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     n_mirrors, axes = n_axes + 1, np.zeros((n_axes + 1, 3))
     for k in range(n_axes):
         axes[k] = stack.qx[k * n // n_axes, 2]
-    affine_rotvecs = np.zeros((MAX_HYPOTHESES, 3))
-    n_affine = estimate_affine_rotations(stack, sums, affine_rotvecs)
     rotvec, mirrored_rotvec = np.zeros(3), np.empty(3)
     first_translation, first_depth_model, count = np.zeros(3), np.zeros((n, 3)), 0
     # Try each mirror image twice: with near and far exchanged, and after steps with the planar part alone.
-    for start in range(1 + 2 * n_mirrors + n_guesses + n_affine):
+    for start in range(1 + 2 * n_mirrors + n_guesses):
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
@@ -495,11 +317,8 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
                 for t in range(n):
                     for j in range(1, 3):
                         candidate.depth_model[t, j] = -first_depth_model[t, j]
-        elif guess < n_guesses:
-            candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
         else:
-            so3_exp(affine_rotvecs[guess - n_guesses], candidate.rotation)
-            candidate.translation[:] = first_translation
+            candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
         if 0 < start <= 2 * n_mirrors and start % 2 == 0:
             done, _, _ = descend(stack, sums, True, CHECK_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done

@@ -17,6 +17,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import remove_direction
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.relative_pose import motion_mixture, observability, uncertainty
+from sylpose.relative_pose.affine_ransac import QUADRUPLES
 from sylpose.relative_pose.camera_evidence import (
     MIN_REDUCTION,
     compute_design_effect,
@@ -28,8 +29,8 @@ from sylpose.relative_pose.camera_evidence import (
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, MAX_STEPS, SIGMA_FLOOR_PX
-from sylpose.relative_pose.planes import compute_second_planes, fit_edge_on, is_flat
-from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
+from sylpose.relative_pose.planes import fit_edge_on, is_flat
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit, fit_robust_motion
 from sylpose.relative_pose.terms import (
     DEPTH_MODEL_SIZE,
     MIN_MATCHES,
@@ -51,6 +52,9 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # The information of a fit, and the same without the prior on the depth models: (6, 6) each.
 Information = tuple[FloatArray, FloatArray]
 
+# Directions of initial rotations about a motion that may have alternatives (choice: docs/history/benchmarks.md,
+# "Edge-on planes and a spread of starts").
+DIRECTIONS = np.random.default_rng(0).normal(size=(32, 3))
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
 # Number of fits to permuted matches, and the factor by which the log-likelihood, relative to mismatches, exceeds the best of
@@ -118,6 +122,9 @@ def fit_terms(
     all_usable = usable.astype(float)
     result = draw_and_fit(stack, usable, starts, rng)
     checks = problem.diagnose(result.fit, all_usable)
+    if checks.is_finite and _may_have_alternatives(problem, result.fit, checks):
+        result = _search_around(problem, all_usable, result)
+        checks = problem.diagnose(result.fit, all_usable)
     # If the search diverged, replace its result by the identity.
     single = result.fit if checks.is_finite else make_empty_irls_fit(stack)
     motion_factor, likelihood_gain, split = 1.0, -np.inf, None
@@ -377,11 +384,17 @@ def _consider_alternatives(
     R, d, _ = irls_fit.candidate
     # Unobservable or ambiguously assigned motions need no further checks.
     is_clear = not (checks.has_soft_assignment or checks.is_mixed)
-    needs_alternatives = is_clear and not len(observability.find_unobservable_motions(R, d, *information, radius))
-    may_be_weak = needs_alternatives and checks.may_be_curved
-    weakly_observed = may_be_weak and uncertainty.has_weak_direction(stack, irls_fit, radius)
+    is_clear &= not len(observability.find_unobservable_motions(R, d, *information, radius))
+    needs_alternatives = is_clear and _may_have_alternatives(problem, irls_fit, checks)
+    weakly_observed = (
+        needs_alternatives and checks.may_be_curved and uncertainty.has_weak_direction(stack, irls_fit, radius)
+    )
+    displaced, cost = list[tuple[Candidate, float]](), float(minima.costs.min())
     if needs_alternatives:
-        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, minima, radius, weakly_observed)
+        if weakly_observed:
+            displaced = uncertainty.displace_along_weak_direction(stack, probabilities, irls_fit, radius)
+        starts = [candidate for candidate, _ in displaced]
+        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, cost, starts, weakly_observed)
         if refined_minima is None:
             return None
         minima = uncertainty.merge_minima(minima, refined_minima)
@@ -399,7 +412,32 @@ def _consider_alternatives(
         columns = [UNOBSERVABLE_RATIO * likeliest.step[:, None]]
         columns += [uncertainty.compute_square_root(start.information, radius)] if refit_cost < np.inf else []
         information = _inflate_both(information, np.column_stack(columns))
+    for candidate, displaced_cost in displaced:
+        column = uncertainty.inflate_covariance(information[0], irls_fit, candidate, displaced_cost - cost)
+        information = _inflate_both(information, column)
     return minima, None, information
+
+
+def _may_have_alternatives(problem: _Problem, fit: IrlsFit, checks: FitDiagnostics) -> bool:
+    """Return whether other motions may explain the matches: the object appears flat, or a direction is weakly observed."""
+    stack, radius = problem.stack, problem.radius
+    return is_flat(stack, fit) or (checks.may_be_curved and uncertainty.has_weak_direction(stack, fit, radius))
+
+
+def _search_around(problem: _Problem, usable: FloatArray, result: RobustFit) -> RobustFit:
+    """Search again from rotations that differ from the result by about as much as the surface moves, relative to its radius.
+
+    Returns:
+        the likelier result, with all minima.
+    """
+    rotation = Rotation.from_matrix(result.fit.candidate.rotation)
+    size = np.hypot(rotation.magnitude(), np.linalg.norm(result.fit.candidate.translation) / problem.radius)
+    rotations = (rotation * Rotation.from_rotvec(size * DIRECTIONS)).as_matrix()
+    starts = InitialMotions(rotations, np.zeros((len(rotations), 3)))
+    again = fit_robust_motion(problem.stack, usable, QUADRUPLES, starts, False)
+    likelier = min(result, again, key=lambda found: float(found.minima.costs.min()))
+    minima = uncertainty.merge_minima(result.minima, again.minima)
+    return likelier._replace(minima=minima, iterations=result.iterations + again.iterations)
 
 
 def _remove_rod_rotation(stack: Stack, usable: FloatArray, result: RobustFit, rod_axis: FloatArray) -> RobustFit | None:
@@ -422,11 +460,11 @@ def _refine_from_alternatives(
     stack: Stack,
     probabilities: FloatArray,
     irls_fit: IrlsFit,
-    minima: RefinedMinima,
-    radius: float,
+    cost: float,
+    candidates: Sequence[Candidate],
     include_self: bool,
 ) -> RefinedMinima | None:
-    """Refit from the second planes of flat objects, the other minima, and the motion itself with other depths.
+    """Refit the motion with other depths, and other candidates.
 
     The noise that was found is kept. Flat objects and weakly observed motions depend on how curved surfaces are assumed to
     be: they are also fitted as if as curved as the prior, and as if flat. A motion that does not converge to itself from
@@ -435,23 +473,15 @@ def _refine_from_alternatives(
 
     Args:
         probabilities: (N,) the probability of each match to belong to the motion.
-        minima: of the search.
+        cost: of the likeliest minimum.
         include_self: whether to refit from the motion itself.
 
     Returns:
         the minima; None if the refit from the motion itself diverges.
     """
-    cost = float(minima.costs.min())
-    starts = [(stack, plane) for plane in compute_second_planes(stack, irls_fit)]
-    if starts or include_self:
-        starts += [
-            (stack, Candidate(rotation, translation, stack.depth_model_mean))
-            for rotation, translation in uncertainty.list_other_minima(irls_fit, minima)
-        ]
-        starts += [(stack._replace(marginalized_share=share), irls_fit.candidate) for share in (0.0, 1.0)]
+    starts = [(stack._replace(marginalized_share=share), irls_fit.candidate) for share in (0.0, 1.0)]
+    starts += [(stack, candidate) for candidate in candidates]
     if include_self:
-        displaced = uncertainty.displace_along_weak_direction(stack, probabilities, irls_fit, radius)
-        starts += [(stack, candidate) for candidate in displaced]
         starts.append((stack, irls_fit.candidate._replace(depth_model=stack.depth_model_mean)))
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))

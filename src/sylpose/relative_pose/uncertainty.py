@@ -8,13 +8,13 @@ the line, and the deficit of the restoring force relative to a quadratic cost, a
 
 This uses the noise and the residual depth of the fit, which may differ for another motion: if residual depth is weakly
 observed, for example, every motion has its own. Along the weakest direction the motion is therefore displaced much
-further and everything else is fitted again. If the result is about as likely, the covariance is inflated to include it.
+further, and everything else and then the motion are fitted again.
 
-Other motions may explain the same matches about as well, for example with a second plane (`planes`). Cameras all around
-resolve this ambiguity. Cameras close together do not, nor does the search always find both. The second plane is therefore
-computed from the first, camera by camera, and tried as a start. Any refined minimum that
-is nearly as likely and distant is an alternative: the result is then ambiguous. A near one, with its own covariance, is
-included in the covariance.
+Other motions may explain the same matches about as well. The matches of a flat object, or of one whose residual depth
+is not visible, agree with two homographies in each camera: of its plane and motion, and of a second plane with another
+motion. Cameras all around resolve this ambiguity. Cameras close together do not, nor does the search always find both: it
+is repeated from rotations all around the first result. Any refined minimum that is nearly as likely and distant is an
+alternative: the result is then ambiguous. A near one, with its own covariance, is included in the covariance.
 
 Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use
 here is ours (docs/method/3-pose.md).
@@ -89,19 +89,6 @@ def merge_minima(first: RefinedMinima, second: RefinedMinima) -> RefinedMinima:
     return RefinedMinima(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
 
 
-def list_other_minima(fit: IrlsFit, minima: RefinedMinima) -> list[tuple[FloatArray, FloatArray]]:
-    """List the motions (R, d) of minima that are distinct from the fit and from each other, likeliest first."""
-    found = [(fit.candidate.rotation, fit.candidate.translation)]
-    for k in np.argsort(minima.costs, kind="stable").tolist():
-        if not np.isfinite(minima.costs[k]):
-            continue
-        motion = minima.rotations[k], minima.translations[k]
-        steps = [_compute_step(*motion, *other) for other in found]
-        if min(step @ fit.information @ step for step in steps) > MIN_SEPARATION_SQUARE:
-            found.append(motion)
-    return found[1:]
-
-
 def _compute_step(R: FloatArray, d: FloatArray, from_R: FloatArray, from_d: FloatArray) -> FloatArray:
     """Return the step (6,) of (w, d) between two motions."""
     step = np.append(np.empty(3), d - from_d)
@@ -158,12 +145,9 @@ NORMAL_FOURTH_MOMENT = 3.0
 # 2,952 answers with a direction above 5 %, half have one above this, and 58 of the 68 confidently wrong ones; of 800 usual
 # answers 26).
 WEAKLY_OBSERVED_SHARE = 0.08
-# The result of a displacement of `CUTOFF` is included as if it were no farther than this (chi-squared, once in a thousand
-# times) ...
-MAX_INCLUDED_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
-# ... if the covariance is too small for it by more than this (measured: if all are included, the mean normalized
-# squared error with two cameras is 3.9, with this 4.1, without any 4.4; 6 is right).
-MIN_VARIANCE_DEFICIT = 4.0
+# What is likely enough to be included in a covariance is at most so many squared standard deviations away (chi-squared, once
+# in a thousand times).
+MAX_INCLUDED_SQUARE = chi_squared_bound(1)
 
 
 def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit, radius: float) -> FloatArray:
@@ -203,29 +187,48 @@ def has_weak_direction(stack: Stack, fit: IrlsFit, radius: float) -> bool:
     return len(sd) > 0
 
 
-def displace_along_weak_direction(stack: Stack, usable: InlierPrior, fit: IrlsFit, radius: float) -> list[Candidate]:
+def displace_along_weak_direction(
+    stack: Stack, usable: InlierPrior, fit: IrlsFit, radius: float
+) -> list[tuple[Candidate, float]]:
     """Displace the motion far along its weakest direction, both ways, and fit everything else again.
 
     Args:
         usable, fit, radius: as for `compute_curvature_covariance`.
 
     Returns:
-        the results, none if no direction is weak.
+        the results with their costs (`run_irls`); none if no direction is weak.
     """
     size, sd, vectors, scale = _find_weak_axes(stack, fit, radius)
     if len(sd) == 0:
         return []
     along, constraint = scale * vectors[:, 0], vectors[:, 0] / scale
     constraint /= np.linalg.norm(constraint)
-    out, length = list[Candidate](), min(CUTOFF * float(sd[0]), size)
+    out, length = list[tuple[Candidate, float]](), min(CUTOFF * float(sd[0]), size)
     for step_length in (-length, length):
         refit = make_irls_start(stack, fit.candidate, fit.sigma_px)
         apply_rotvec(step_length * along[:3], fit.candidate.rotation, refit.candidate.rotation)
         refit.candidate.translation[:] += step_length * along[3:]
         _, _, cost = run_constrained_irls(stack, usable, refit, SIGMA_FLOOR_PX, constraint)
         if cost < np.inf:
-            out.append(refit.candidate)
+            out.append((refit.candidate, float(cost)))
     return out
+
+
+def inflate_covariance(
+    information: FloatArray, fit: IrlsFit, candidate: Candidate, likelihood_loss: float
+) -> FloatArray:
+    """Return a column (6, m) that inflates the covariance of (w, d) to include another motion.
+
+    m is 0 if the covariance is large enough for it, or for chance.
+
+    Args:
+        likelihood_loss: decrease of the log-likelihood at that motion.
+    """
+    step = _compute_step(*candidate[:2], *fit.candidate[:2])
+    square, target_square = float(step @ information @ step), max(2.0 * likelihood_loss, MAX_INCLUDED_SQUARE)
+    if not square > target_square:
+        return np.empty((6, 0))
+    return np.asarray(step[:, None] * np.sqrt(1.0 / target_square - 1.0 / square))
 
 
 def _find_weak_axes(stack: Stack, fit: IrlsFit, radius: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
