@@ -56,7 +56,7 @@ def fit_from_truth(kind: str, number: int) -> tuple[Stack, IrlsFit]:
         ("two opposite, flat", 9127),  # the rays meet far from the object
         ("two opposite, flat", 7010),
         ("copies, few", 9017),  # few degrees of freedom
-        ("two opposite, flat", 9909),  # the other minimum is found from rotations around the first
+        ("two opposite, flat", 9909),  # the other minimum is found from more rotations
         ("two cameras, flat", 20012),  # as likely along the weakest direction
         ("all wrong", 9915),  # permuted matches show no motion at all
         ("x to the left", 9917),  # two kinds of axes explain the contradiction

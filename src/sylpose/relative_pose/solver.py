@@ -52,9 +52,9 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # The information of a fit, and the same without the prior on the depth models: (6, 6) each.
 Information = tuple[FloatArray, FloatArray]
 
-# Directions of initial rotations about a motion that may have alternatives (choice: docs/history/benchmarks.md,
-# "Edge-on planes and a spread of starts").
-DIRECTIONS = np.random.default_rng(0).normal(size=(32, 3))
+# Rotations to search again from, of an eighth to the full size of the motion (choice: docs/history/benchmarks.md,
+# "Edge-on planes and more starts").
+MORE_ROTVECS = 2.0 ** np.linspace(-3.0, 0.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3))
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
 # Number of fits to permuted matches, and the factor by which the log-likelihood, relative to mismatches, exceeds the best of
@@ -123,7 +123,7 @@ def fit_terms(
     result = draw_and_fit(stack, usable, starts, rng)
     checks = problem.diagnose(result.fit, all_usable)
     if checks.is_finite and _may_have_alternatives(problem, result.fit, checks):
-        result = _search_around(problem, all_usable, result)
+        result = _search_again(problem, all_usable, result)
         checks = problem.diagnose(result.fit, all_usable)
     # If the search diverged, replace its result by the identity.
     single = result.fit if checks.is_finite else make_empty_irls_fit(stack)
@@ -424,15 +424,15 @@ def _may_have_alternatives(problem: _Problem, fit: IrlsFit, checks: FitDiagnosti
     return is_flat(stack, fit) or (checks.may_be_curved and uncertainty.has_weak_direction(stack, fit, radius))
 
 
-def _search_around(problem: _Problem, usable: FloatArray, result: RobustFit) -> RobustFit:
-    """Search again from rotations that differ from the result by about as much as the surface moves, relative to its radius.
+def _search_again(problem: _Problem, usable: FloatArray, result: RobustFit) -> RobustFit:
+    """Search again from rotations in all directions by which the surface moves up to about as far as in the result.
 
     Returns:
         the likelier result, with all minima.
     """
-    rotation = Rotation.from_matrix(result.fit.candidate.rotation)
-    size = np.hypot(rotation.magnitude(), np.linalg.norm(result.fit.candidate.translation) / problem.radius)
-    rotations = (rotation * Rotation.from_rotvec(size * DIRECTIONS)).as_matrix()
+    rotation, translation, _ = result.fit.candidate
+    size = np.hypot(Rotation.from_matrix(rotation).magnitude(), np.linalg.norm(translation) / problem.radius)
+    rotations = Rotation.from_rotvec(size * MORE_ROTVECS).as_matrix()
     starts = InitialMotions(rotations, np.zeros((len(rotations), 3)))
     again = fit_robust_motion(problem.stack, usable, QUADRUPLES, starts, False)
     likelier = min(result, again, key=lambda found: float(found.minima.costs.min()))

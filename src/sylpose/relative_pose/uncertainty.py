@@ -13,7 +13,7 @@ further, and everything else and then the motion are fitted again.
 Other motions may explain the same matches about as well. The matches of a flat object, or of one whose residual depth
 is not visible, agree with two homographies in each camera: of its plane and motion, and of a second plane with another
 motion. Cameras all around resolve this ambiguity. Cameras close together do not, nor does the search always find both: it
-is repeated from rotations all around the first result. Any refined minimum that is nearly as likely and distant is an
+is repeated from rotations in all directions. Any refined minimum that is nearly as likely and distant is an
 alternative: the result is then ambiguous. A near one, with its own covariance, is included in the covariance.
 
 Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use
