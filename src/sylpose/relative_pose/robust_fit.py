@@ -68,16 +68,13 @@ class RobustFit(NamedTuple):
 
 
 @kernel
-def fit_robust_motion(
-    stack: Stack, usable: FloatArray, picks: FloatArray, guesses: InitialMotions, must_be_flat: bool
-) -> RobustFit:
+def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guesses: InitialMotions) -> RobustFit:
     """Fit one robust motion: seeds per term, minima of all seeds together, re-weighting of the best.
 
     Args:
         usable: (N,) 1 for matches that may be inliers, else 0.
         picks: (h, 4) in [0, 1): random numbers that select the seeds' quadruples.
         guesses: initial motions in addition to the built-in ones.
-        must_be_flat: as for `fit_edge_on`.
     """
     fit = make_empty_irls_fit(stack)
     k = N_PASSES * MAX_HYPOTHESES
@@ -115,7 +112,7 @@ def fit_robust_motion(
                 )
                 trial.candidate.depth_model[:] = stack.depth_model_mean
                 trial.candidate.depth_model[:, 1 - n_known : 3] = minima.depth_models[m, :, 1 - n_known :]
-                done, new_decrease, cost = fit_edge_on(stack, usable, trial, must_be_flat)
+                done, new_decrease, cost = fit_edge_on(stack, usable, trial, True)
                 iterations += done
                 if cost < np.inf:
                     break
@@ -174,7 +171,7 @@ def _refit_with_more_noise(
 def draw_and_fit(stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: np.random.Generator) -> RobustFit:
     """Run `fit_robust_motion` with quadruples drawn from rng."""
     # Pass probabilities, as for a mixture: a single compiled version is sufficient.
-    return fit_robust_motion(stack, usable.astype(np.float64), rng.random((N_QUADRUPLES, 4)), guesses, True)
+    return fit_robust_motion(stack, usable.astype(np.float64), rng.random((N_QUADRUPLES, 4)), guesses)
 
 
 @kernel

@@ -1,9 +1,11 @@
 """Multi-start search for the minima of `moments_cost`: Levenberg-Marquardt, depth models eliminated term by term.
 
-The planar part of the cost has no local minimum near the identity, so the search starts there. Few cameras, small
-rotations and transparent bodies cause mirrored minima. Each camera alone always has one: the rotation component across
-its axis reversed, near and far exchanged. Mirror images of the first minimum are therefore tried as well, and the
-likeliest wins.
+The planar part of the cost has no local minimum near the identity, so the search starts there. Few cameras, flat objects,
+small rotations and transparent bodies cause other minima: mirror images, with the rotation across a camera's axis reversed
+and near and far exchanged, and a family of motions that a plane hardly distinguishes. Rotations in all directions, of an
+eighth to the full size of the first minimum's, are therefore tried as well, and the likeliest wins.
+
+Source: the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the starts are ours (docs/method/3-pose.md).
 """
 
 from __future__ import annotations
@@ -47,9 +49,11 @@ SAME_MOTION = 0.01
 MAX_COST_RATIO = 4.0
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
-# Maximum number of points where lines of rotations meet that are tried, as many as two cameras have; of terms whose axes
-# mirror, and that the lines are first taken from; and of minima (choice: docs/history/benchmarks.md).
+# Maximum number of minima (choice: docs/history/benchmarks.md).
 MAX_HYPOTHESES = 4
+# Rotations to start from, in units of the first minimum's angle (choice: docs/history/benchmarks.md, "Edge-on planes and
+# random starts").
+RANDOM_ROTVECS = 2.0 ** np.linspace(-3.0, 0.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3))
 
 
 class Workspace(NamedTuple):
@@ -281,7 +285,7 @@ def make_minima(max_minima: int, terms: int) -> Minima:
 
 @kernel
 def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minima: Minima) -> int:
-    """Find minima from the identity, from the mirror images of its minimum and from initial motions.
+    """Find minima from the identity, from initial motions and from rotations of up to the size of the first minimum's.
 
     Args:
         minima: receives the likeliest, best first; unused entries have a likelihood of -inf.
@@ -292,36 +296,19 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     n, n_guesses = stack.focal.shape[0], guesses.rotations.shape[0]
     candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_workspace(n)
     minima.likelihoods[:] = -np.inf
-    # Some optical axes, and a zero row for the reversed rotation.
-    n_axes = min(n, MAX_HYPOTHESES)
-    n_mirrors, axes = n_axes + 1, np.zeros((n_axes + 1, 3))
-    for k in range(n_axes):
-        axes[k] = stack.qx[k * n // n_axes, 2]
-    rotvec, mirrored_rotvec = np.zeros(3), np.empty(3)
-    first_translation, first_depth_model, count = np.zeros(3), np.zeros((n, 3)), 0
-    # Try each mirror image twice: with near and far exchanged, and after steps with the planar part alone.
-    for start in range(1 + 2 * n_mirrors + n_guesses):
-        mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
+    angle, rotvec, first_translation, count = 0.0, np.empty(3), np.zeros(3), 0
+    for start in range(1 + n_guesses + len(RANDOM_ROTVECS)):
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            done, _, _ = descend(stack, sums, True, MAX_STEPS, candidate, INITIAL_DAMPING, workspace)
-            count += done
-        elif guess < 0:
-            axis = axes[mirror]
-            along = 2.0 * (rotvec[0] * axis[0] + rotvec[1] * axis[1] + rotvec[2] * axis[2])
-            for i in range(3):
-                mirrored_rotvec[i] = along * axis[i] - rotvec[i]
-            so3_exp(mirrored_rotvec, candidate.rotation)
-            candidate.translation[:] = first_translation
-            if start % 2 == 1:
-                for t in range(n):
-                    for j in range(1, 3):
-                        candidate.depth_model[t, j] = -first_depth_model[t, j]
-        else:
+            count, _, _ = descend(stack, sums, True, MAX_STEPS, candidate, INITIAL_DAMPING, workspace)
+        elif start <= n_guesses:
+            guess = start - 1
             candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
-        if 0 < start <= 2 * n_mirrors and start % 2 == 0:
-            done, _, _ = descend(stack, sums, True, CHECK_STEPS, candidate, INITIAL_DAMPING, workspace)
-            count += done
+        else:
+            for i in range(3):
+                rotvec[i] = angle * RANDOM_ROTVECS[start - 1 - n_guesses, i]
+            so3_exp(rotvec, candidate.rotation)
+            candidate.translation[:] = first_translation
         decrease, damping = np.inf, INITIAL_DAMPING
         dropped = _is_known(candidate, minima)
         for k in range(MAX_STEPS):
@@ -339,8 +326,8 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         value = compute_log_likelihood(stack, sums, candidate, workspace)
         if start == 0:
             so3_log(candidate.rotation, rotvec)
+            angle = np.sqrt(dot(rotvec, rotvec))
             first_translation[:] = candidate.translation
-            first_depth_model[:] = candidate.depth_model
         if np.isfinite(value):
             _insert_minimum(candidate, value, minima)
     return count

@@ -17,7 +17,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import remove_direction
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.relative_pose import motion_mixture, observability, uncertainty
-from sylpose.relative_pose.affine_ransac import QUADRUPLES
 from sylpose.relative_pose.camera_evidence import (
     MIN_REDUCTION,
     compute_design_effect,
@@ -30,7 +29,7 @@ from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, MAX_STEPS, SIGMA_FLOOR_PX
 from sylpose.relative_pose.planes import fit_edge_on, is_flat
-from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit, fit_robust_motion
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import (
     DEPTH_MODEL_SIZE,
     MIN_MATCHES,
@@ -52,9 +51,6 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # The information of a fit, and the same without the prior on the depth models: (6, 6) each.
 Information = tuple[FloatArray, FloatArray]
 
-# Rotations to search again from, of an eighth to the full size of the motion (choice: docs/history/benchmarks.md,
-# "Edge-on planes and more starts").
-MORE_ROTVECS = 2.0 ** np.linspace(-3.0, 0.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3))
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
 # Number of fits to permuted matches, and the factor by which the log-likelihood, relative to mismatches, exceeds the best of
@@ -122,9 +118,6 @@ def fit_terms(
     all_usable = usable.astype(float)
     result = draw_and_fit(stack, usable, starts, rng)
     checks = problem.diagnose(result.fit, all_usable)
-    if checks.is_finite and _may_have_alternatives(problem, result.fit, checks):
-        result = _search_again(problem, all_usable, result)
-        checks = problem.diagnose(result.fit, all_usable)
     # If the search diverged, replace its result by the identity.
     single = result.fit if checks.is_finite else make_empty_irls_fit(stack)
     motion_factor, likelihood_gain, split = 1.0, -np.inf, None
@@ -385,12 +378,9 @@ def _consider_alternatives(
     # Unobservable or ambiguously assigned motions need no further checks.
     is_clear = not (checks.has_soft_assignment or checks.is_mixed)
     is_clear &= not len(observability.find_unobservable_motions(R, d, *information, radius))
-    needs_alternatives = is_clear and _may_have_alternatives(problem, irls_fit, checks)
-    weakly_observed = (
-        needs_alternatives and checks.may_be_curved and uncertainty.has_weak_direction(stack, irls_fit, radius)
-    )
+    weakly_observed = is_clear and checks.may_be_curved and uncertainty.has_weak_direction(stack, irls_fit, radius)
     displaced, cost = list[tuple[Candidate, float]](), float(minima.costs.min())
-    if needs_alternatives:
+    if weakly_observed or (is_clear and is_flat(stack, irls_fit)):
         if weakly_observed:
             displaced = uncertainty.displace_along_weak_direction(stack, probabilities, irls_fit, radius)
         starts = [candidate for candidate, _ in displaced]
@@ -416,28 +406,6 @@ def _consider_alternatives(
         column = uncertainty.inflate_covariance(information[0], irls_fit, candidate, displaced_cost - cost)
         information = _inflate_both(information, column)
     return minima, None, information
-
-
-def _may_have_alternatives(problem: _Problem, fit: IrlsFit, checks: FitDiagnostics) -> bool:
-    """Return whether other motions may explain the matches: the object appears flat, or a direction is weakly observed."""
-    stack, radius = problem.stack, problem.radius
-    return is_flat(stack, fit) or (checks.may_be_curved and uncertainty.has_weak_direction(stack, fit, radius))
-
-
-def _search_again(problem: _Problem, usable: FloatArray, result: RobustFit) -> RobustFit:
-    """Search again from rotations in all directions by which the surface moves up to about as far as in the result.
-
-    Returns:
-        the likelier result, with all minima.
-    """
-    rotation, translation, _ = result.fit.candidate
-    size = np.hypot(Rotation.from_matrix(rotation).magnitude(), np.linalg.norm(translation) / problem.radius)
-    rotations = Rotation.from_rotvec(size * MORE_ROTVECS).as_matrix()
-    starts = InitialMotions(rotations, np.zeros((len(rotations), 3)))
-    again = fit_robust_motion(problem.stack, usable, QUADRUPLES, starts, False)
-    likelier = min(result, again, key=lambda found: float(found.minima.costs.min()))
-    minima = uncertainty.merge_minima(result.minima, again.minima)
-    return likelier._replace(minima=minima, iterations=result.iterations + again.iterations)
 
 
 def _remove_rod_rotation(stack: Stack, usable: FloatArray, result: RobustFit, rod_axis: FloatArray) -> RobustFit | None:
