@@ -3,7 +3,8 @@
 The planar part of the cost has no local minimum near the identity, so the search starts there. Few cameras, flat objects,
 small rotations and transparent bodies cause other minima: mirror images, with the rotation across a camera's axis reversed
 and near and far exchanged, and a family of motions that a plane hardly distinguishes. Rotations in all directions, of an
-eighth to the full size of the first minimum's, are therefore tried as well, and the likeliest wins.
+eighth to twice the first minimum's, are therefore tried as well, every other one after steps with the planar part alone,
+and the likeliest wins.
 
 Source: the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the starts are ours (docs/method/3-pose.md).
 """
@@ -53,7 +54,7 @@ INITIAL_DAMPING = 1e-4
 MAX_HYPOTHESES = 4
 # Rotations to start from, in units of the first minimum's angle (choice: docs/history/benchmarks.md, "Edge-on planes and
 # random starts").
-RANDOM_ROTVECS = 2.0 ** np.linspace(-3.0, 0.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3))
+RANDOM_ROTVECS = 2.0 ** np.linspace(-3.0, 1.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3))
 
 
 class Workspace(NamedTuple):
@@ -285,7 +286,7 @@ def make_minima(max_minima: int, terms: int) -> Minima:
 
 @kernel
 def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minima: Minima) -> int:
-    """Find minima from the identity, from initial motions and from rotations of up to the size of the first minimum's.
+    """Find minima from the identity, from initial motions and from random rotations of about the first minimum's size.
 
     Args:
         minima: receives the likeliest, best first; unused entries have a likelihood of -inf.
@@ -309,6 +310,9 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
                 rotvec[i] = angle * RANDOM_ROTVECS[start - 1 - n_guesses, i]
             so3_exp(rotvec, candidate.rotation)
             candidate.translation[:] = first_translation
+            if start % 2 == 0:
+                done, _, _ = descend(stack, sums, True, CHECK_STEPS, candidate, INITIAL_DAMPING, workspace)
+                count += done
         decrease, damping = np.inf, INITIAL_DAMPING
         dropped = _is_known(candidate, minima)
         for k in range(MAX_STEPS):

@@ -383,7 +383,9 @@ def _consider_alternatives(
     if weakly_observed or (is_clear and is_flat(stack, irls_fit)):
         if weakly_observed:
             displaced = uncertainty.displace_along_weak_direction(stack, probabilities, irls_fit, radius)
-        starts = [candidate for candidate, _ in displaced]
+        others = uncertainty.list_other_minima(irls_fit, minima)
+        starts = [Candidate(*motion, stack.depth_model_mean) for motion in others]
+        starts += [candidate for candidate, _ in displaced]
         refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, cost, starts, weakly_observed)
         if refined_minima is None:
             return None

@@ -12,9 +12,9 @@ further, and everything else and then the motion are fitted again.
 
 Other motions may explain the same matches about as well. The matches of a flat object, or of one whose residual depth
 is not visible, agree with two homographies in each camera: of its plane and motion, and of a second plane with another
-motion. Cameras all around resolve this ambiguity. Cameras close together do not, nor does the search always find both: it
-is repeated from rotations in all directions. Any refined minimum that is nearly as likely and distant is an
-alternative: the result is then ambiguous. A near one, with its own covariance, is included in the covariance.
+motion. Cameras all around resolve this ambiguity, cameras close together do not. Any refined minimum that is nearly as
+likely and distant is an alternative: the result is then ambiguous. A near one, with its own covariance, is included in the
+covariance.
 
 Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use
 here is ours (docs/method/3-pose.md).
@@ -87,6 +87,19 @@ class AlternativeMotion(NamedTuple):
 def merge_minima(first: RefinedMinima, second: RefinedMinima) -> RefinedMinima:
     """Merge the minima of two searches."""
     return RefinedMinima(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
+
+
+def list_other_minima(fit: IrlsFit, minima: RefinedMinima) -> list[tuple[FloatArray, FloatArray]]:
+    """List the motions (R, d) of minima that are distinct from the fit and from each other, likeliest first."""
+    found = [(fit.candidate.rotation, fit.candidate.translation)]
+    for k in np.argsort(minima.costs, kind="stable").tolist():
+        if not np.isfinite(minima.costs[k]):
+            continue
+        motion = minima.rotations[k], minima.translations[k]
+        steps = [_compute_step(*motion, *other) for other in found]
+        if min(step @ fit.information @ step for step in steps) > MIN_SEPARATION_SQUARE:
+            found.append(motion)
+    return found[1:]
 
 
 def _compute_step(R: FloatArray, d: FloatArray, from_R: FloatArray, from_d: FloatArray) -> FloatArray:
