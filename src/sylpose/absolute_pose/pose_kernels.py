@@ -11,6 +11,7 @@ import numpy as np
 
 from sylpose.absolute_pose.p3p import solve_p3p
 from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.normal_equations import add_rotated
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf
 from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, biquartic, biquartic_loss, biquartic_noise_response
 
@@ -38,6 +39,10 @@ SEARCH_STEPS = 5
 SAME_ROTATION = 0.05
 # Iterations of re-weighting with the median's noise (choice).
 MEDIAN_ROUNDS = 3
+# Normal equations process eight matches at a time, in a loop over lanes of one array with constant offsets, so that the
+# processor handles several per instruction. Lanes, and the values of each: x, y, z of the point, its image, `to_pixels`
+# and 1 or 0 to pad; sums of the loss, and of the products of six derivatives and a residual with the derivatives (derived).
+LANES, LOSS, SUMS, N_VALUES = 8, 10, 11, 53
 
 
 class Views(NamedTuple):
@@ -81,10 +86,17 @@ class ModelPose(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Workspace for one camera: the pose `model` of the model in it, and a match's two rows `row` (2, 6)."""
+    """Workspace for one camera.
+
+    Attributes:
+        model: pose of the model in it.
+        lanes: (N_VALUES LANES,) a batch of matches and sums over batches (`_add_batch`).
+        lower: (7, 6) lower triangle of the normal equations in its axes.
+    """
 
     model: ModelPose
-    row: FloatArray
+    lanes: FloatArray
+    lower: FloatArray
 
 
 class Pose(NamedTuple):
@@ -118,7 +130,7 @@ def make_noise(views: Views, max_square: float) -> Noise:
 @kernel
 def make_workspace() -> Workspace:
     """Allocate a workspace."""
-    return Workspace(ModelPose(np.empty((3, 3)), np.empty(3)), np.empty((2, 6)))
+    return Workspace(ModelPose(np.empty((3, 3)), np.empty(3)), np.empty(N_VALUES * LANES), np.empty((7, 6)))
 
 
 @leaf
@@ -226,42 +238,86 @@ def _build_normal_equations(
     """Write hessian (6, 6) and gradient (6,) by (w, d) of the re-weighted squares, in variances; return the loss."""
     gradient[:] = 0.0
     hessian[:] = 0.0
-    row, rotation, loss = workspace.row, pose.rotation, 0.0
+    lanes, lower, loss = workspace.lanes, workspace.lower, 0.0
     for c in range(len(views.rotations)):
         _camera_from_model(views, c, pose, workspace)
-        q = views.rotations[c]
-        variance, cutoff = noise.variances[c], noise.cutoffs[c]
-        for k in range(views.start[c], views.start[c + 1]):
-            depth, u, v, r0, r1 = _project_match(views, k, workspace)
-            ratio = (r0 * r0 + r1 * r1) / cutoff if depth > 0.0 else 2.0
-            loss += 0.5 * cutoff / variance * biquartic_loss(ratio)
-            if not ratio < 1.0:
-                continue
-            weight = biquartic(ratio) / variance
-            # The point relative to the model's center, rotated into the world.
-            x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
-            x0 = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
-            x1 = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
-            x2 = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
-            jacobian = views.to_pixels
-            inverse_depth = 1.0 / depth
-            for j in range(3):
-                d_u, d_v = (q[0, j] - u * q[2, j]) * inverse_depth, (q[1, j] - v * q[2, j]) * inverse_depth
-                row[0, 3 + j] = jacobian[k, 0] * d_u + jacobian[k, 1] * d_v
-                row[1, 3 + j] = jacobian[k, 2] * d_u + jacobian[k, 3] * d_v
-            for i in range(2):
-                row[i, 0] = x1 * row[i, 5] - x2 * row[i, 4]
-                row[i, 1] = x2 * row[i, 3] - x0 * row[i, 5]
-                row[i, 2] = x0 * row[i, 4] - x1 * row[i, 3]
-            for i in range(6):
-                w0, w1 = weight * row[0, i], weight * row[1, i]
-                gradient[i] += w0 * r0 + w1 * r1
-                for j in range(i + 1):
-                    hessian[i, j] += w0 * row[0, j] + w1 * row[1, j]
-    for i in range(6):
-        for j in range(i):
-            hessian[j, i] = hessian[i, j]
+        q, last, per_variance = views.rotations[c], views.start[c + 1], 1.0 / noise.variances[c]
+        lanes[LOSS * LANES :] = 0.0
+        for first in range(views.start[c], last, LANES):
+            _load_batch(views, first, min(LANES, last - first), lanes)
+            _add_batch(workspace.model, noise.cutoffs[c], lanes)
+        loss += 0.5 * noise.cutoffs[c] * per_variance * _sum_lanes(lanes, LOSS)
+        for i in range(7):
+            for j in range(min(i + 1, 6)):
+                lower[i, j] = per_variance * _sum_lanes(lanes, SUMS + 6 * i + j)
+        add_rotated(lower, q, hessian)
+        for i in range(3):
+            gradient[i] += lower[6, 0] * q[0, i] + lower[6, 1] * q[1, i] + lower[6, 2] * q[2, i]
+            gradient[3 + i] += lower[6, 3] * q[0, i] + lower[6, 4] * q[1, i] + lower[6, 5] * q[2, i]
     return loss
+
+
+@leaf
+def _load_batch(views: Views, first: int, count: int, lanes: FloatArray) -> None:
+    """Load `count` matches from `first` on, padded with copies of the last one without weight."""
+    for k in range(LANES):
+        m = first + min(k, count - 1)
+        for j in range(3):
+            lanes[j * LANES + k] = views.points[m, j]
+        for j in range(2):
+            lanes[(3 + j) * LANES + k] = views.images[m, j]
+        for j in range(4):
+            lanes[(5 + j) * LANES + k] = views.to_pixels[m, j]
+        lanes[9 * LANES + k] = 1.0 if k < count else 0.0
+
+
+@leaf
+def _add_batch(pose: ModelPose, cutoff: float, lanes: FloatArray) -> None:
+    """Add the losses, weighted derivatives and residuals of a batch to its sums, by (w, d) in the camera's axes.
+
+    Args:
+        pose: of the model in the camera.
+        cutoff: squared distance, pixels squared.
+        lanes: of the workspace.
+    """
+    r, t = pose.rotation, pose.translation
+    r00, r01, r02, r10, r11, r12 = r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2]
+    r20, r21, r22, t0, t1, t2 = r[2, 0], r[2, 1], r[2, 2], t[0], t[1], t[2]
+    per_cutoff = 1.0 / cutoff
+    for k in range(LANES):
+        x, y, z = lanes[k], lanes[LANES + k], lanes[2 * LANES + k]
+        # The point relative to the model's center.
+        p0, p1, p2 = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
+        in_front = p2 + t2 > 0.0
+        per_depth = 1.0 / (p2 + t2 if in_front else 1.0)
+        u, v = (p0 + t0) * per_depth, (p1 + t1) * per_depth
+        du, dv = u - lanes[3 * LANES + k], v - lanes[4 * LANES + k]
+        j00, j01, j10, j11 = lanes[5 * LANES + k], lanes[6 * LANES + k], lanes[7 * LANES + k], lanes[8 * LANES + k]
+        e0, e1 = j00 * du + j01 * dv, j10 * du + j11 * dv
+        ratio = (e0 * e0 + e1 * e1) * per_cutoff
+        is_inlier = in_front and ratio < 1.0
+        # Zeros instead of large numbers, which times a weight of 0 might not be 0.
+        ratio, e0, e1 = ratio if is_inlier else 0.0, e0 if is_inlier else 0.0, e1 if is_inlier else 0.0
+        u, v, per_depth = u if is_inlier else 0.0, v if is_inlier else 0.0, per_depth if is_inlier else 0.0
+        square, usable = ratio * ratio, lanes[9 * LANES + k]
+        loss = ratio * (1.0 - square * (2.0 / 3.0 - 0.2 * square)) if is_inlier else BIQUARTIC_BOUND
+        lanes[LOSS * LANES + k] += usable * loss
+        weight = usable * (1.0 - square) * (1.0 - square)
+        g0, g1, h0, h1 = j00 * per_depth, j01 * per_depth, j10 * per_depth, j11 * per_depth
+        g2, h2 = -(g0 * u + g1 * v), -(h0 * u + h1 * v)
+        a = (p1 * g2 - p2 * g1, p2 * g0 - p0 * g2, p0 * g1 - p1 * g0, g0, g1, g2, e0)
+        b = (p1 * h2 - p2 * h1, p2 * h0 - p0 * h2, p0 * h1 - p1 * h0, h0, h1, h2, e1)
+        for i in range(7):
+            weighted_a, weighted_b = weight * a[i], weight * b[i]
+            for j in range(min(i + 1, 6)):
+                lanes[(SUMS + 6 * i + j) * LANES + k] += weighted_a * a[j] + weighted_b * b[j]
+
+
+@leaf
+def _sum_lanes(lanes: FloatArray, value: int) -> float:
+    """Return the sum of a value over the lanes."""
+    a = lanes[value * LANES : (value + 1) * LANES]
+    return float(((a[0] + a[4]) + (a[1] + a[5])) + ((a[2] + a[6]) + (a[3] + a[7])))
 
 
 @leaf
