@@ -1,20 +1,47 @@
-"""Compiled loops of `estimate_pose`: robust scores, the search for a start, the fit, and the noise.
+"""Compiled loops of `estimate_pose`: robust scores, the fit, the noise, and what is concluded from a pose.
 
 All of them take the same `Views`: n matches sorted by camera.
 """
 
 from __future__ import annotations
 
+from math import lgamma
 from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.absolute_pose.p3p import solve_p3p
+from sylpose.absolute_pose.views import MIN_MATCHES, Views
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.normal_equations import add_rotated
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf
-from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, biquartic, biquartic_loss, biquartic_noise_response
+from sylpose.geometry.matrices import compute_covariance
+from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, UNOBSERVABLE_ROTATION_SD, add_rotated
+from sylpose.geometry.numba_linalg import (
+    apply_rotvec,
+    cholesky_solve,
+    compute_median,
+    dot,
+    kernel,
+    leaf,
+    so3_log,
+    symmetric_eigen,
+)
+from sylpose.geometry.robust_loss import (
+    BIQUARTIC_BOUND,
+    DEFAULT_NOISE_PX,
+    biquartic,
+    biquartic_loss,
+    biquartic_noise_response,
+)
 
+# A pose is due to chance if random matches give one as good with a higher expected number (choice).
+MAX_FALSE_ALARMS = 0.01
+# Degrees of freedom of the noise prior. Default noise: four matches, which leave two, may agree far better than they
+# were measured. Given noise: known to an eighth of its size (choice).
+DEFAULT_NOISE_FREEDOM, KNOWN_NOISE_FREEDOM = 2.0, 30.0
+# Odds from which the better of two similar poses is accepted (measured: of flat models of 4 to 20 points with one
+# camera and status OK, 1 in 250 is the mirror image; with odds of 3, 1 in 20) (choice).
+CLEAR_ODDS = 20.0
+# A camera supports a pose if this fraction of its matches are inliers (choice: a majority).
+MIN_INLIER_RATIO = 0.5
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
 CUTOFF = 5.0
 # For Gaussian noise: reduction of the mean weight and of the mean weighted square by these weights, and the factor
@@ -31,39 +58,14 @@ ROUNDING_PX = 1e-6
 # A camera has an individual noise level if its variance differs from the others' by so many standard deviations and it
 # has so many degrees of freedom (choice).
 MIN_DEVIATION_SIGMAS, MIN_OWN_FREEDOM = 4.0, 8.0
-# Minimum and maximum number of samples, and the probability that none is free of outliers (choice).
-MIN_SAMPLES, MAX_SAMPLES, MISS_PROBABILITY = 20, 3000, 1e-4
-# Refinement steps of a sample's pose, half of those of the mirror pose (choice).
-SEARCH_STEPS = 5
-# Poses that differ by a smaller angle, radians, are duplicates (choice).
-SAME_ROTATION = 0.05
+# Rounds of re-weighting (choice).
+MAX_ITERATIONS = 50
 # Iterations of re-weighting with the median's noise (choice).
 MEDIAN_ROUNDS = 3
 # Normal equations process eight matches at a time, in a loop over lanes of one array with constant offsets, so that the
 # processor handles several per instruction. Lanes, and the values of each: x, y, z of the point, its image, `to_pixels`
 # and 1 or 0 to pad; sums of the loss, and of the products of six derivatives and a residual with the derivatives (derived).
 LANES, LOSS, SUMS, N_VALUES = 8, 10, 11, 53
-
-
-class Views(NamedTuple):
-    """Observations of a known model: n matches in C cameras.
-
-    Attributes:
-        points: (n, 3) model points, relative to the model's center.
-        images: (n, 2) their normalized image points.
-        to_pixels: (n, 4) derivative of the recorded pixel by the normalized point, row-major: lens and focal lengths.
-        start: (C + 1,) camera c has the matches start[c] to start[c + 1].
-        rotations, translations: (C, 3, 3) and (C, 3), camera_from_world.
-        min_variance: lower limit of the noise variance, pixels squared.
-    """
-
-    points: FloatArray
-    images: FloatArray
-    to_pixels: FloatArray
-    start: IntArray
-    rotations: FloatArray
-    translations: FloatArray
-    min_variance: float
 
 
 class Noise(NamedTuple):
@@ -158,7 +160,7 @@ def _project_match(views: Views, k: int, workspace: Workspace) -> tuple[float, f
 
 
 @leaf
-def _compute_squares(views: Views, pose: ModelPose, out: FloatArray, workspace: Workspace) -> None:
+def compute_squares(views: Views, pose: ModelPose, out: FloatArray, workspace: Workspace) -> None:
     """Write squared reprojection errors, pixels, to out (n,); infinite behind a camera."""
     for c in range(len(views.rotations)):
         _camera_from_model(views, c, pose, workspace)
@@ -167,30 +169,8 @@ def _compute_squares(views: Views, pose: ModelPose, out: FloatArray, workspace: 
             out[k] = r0 * r0 + r1 * r1 if depth > 0.0 else np.inf
 
 
-@kernel
-def _count_required_samples(views: Views, pose: ModelPose, max_square: float) -> int:
-    """Return the number of samples for which one is free of outliers except with probability `MISS_PROBABILITY`.
-
-    Samples are those of `search_samples`; inliers of the pose are within sqrt(max_square) pixels.
-    """
-    squares = np.empty(len(views.points))
-    _compute_squares(views, pose, squares, make_workspace())
-    n_cameras, n_inliers, camera_ratios = len(views.rotations), 0, 0.0
-    for c in range(n_cameras):
-        first, end, camera_inliers = views.start[c], views.start[c + 1], 0
-        for k in range(first, end):
-            camera_inliers += squares[k] < max_square
-        n_inliers += camera_inliers
-        camera_ratios += camera_inliers / (end - first)
-    inlier_ratio = 0.5 * ((n_inliers / len(squares)) ** 3 + (camera_ratios / n_cameras) ** 3)
-    if inlier_ratio >= 1.0:
-        return MIN_SAMPLES
-    required = np.log(MISS_PROBABILITY) / np.log1p(-max(inlier_ratio, 1e-9))
-    return int(min(max(required, MIN_SAMPLES), MAX_SAMPLES))
-
-
-@kernel
-def compute_chance(views: Views, translation: FloatArray, weights: FloatArray, noise: Noise) -> tuple[int, float]:
+@leaf
+def _compute_chance(views: Views, translation: FloatArray, weights: FloatArray, noise: Noise) -> tuple[int, float]:
     """Return the number of inliers and the sum of the logarithms of a random match's probability of being one.
 
     Inliers are the matches with weights (n,). The probability is the fraction of the object's image that a circle of
@@ -211,6 +191,36 @@ def compute_chance(views: Views, translation: FloatArray, weights: FloatArray, n
         log_share += camera_inliers * np.log(min(max(CUTOFF**2 * noise.variances[c] / size**2, 1e-12), 1.0))
         n_inliers += camera_inliers
     return n_inliers, log_share
+
+
+@leaf
+def compute_log_false_alarms(views: Views, pose: Pose) -> float:
+    """Return the logarithm of the number of false alarms (NFA).
+
+    This is the expected number of poses as good as this one from random matches. A random match is an inlier with a
+    probability equal to the fraction of the object's image that a circle of `CUTOFF` sigma covers; the inliers, and the
+    three of them that determine the pose, may be chosen. This balances the number of inliers against their accuracy: of
+    poses of the same data the one with the smallest value is the best.
+
+    Source: Moisan & Stival, a contrario RANSAC, 2004.
+    """
+    n = len(pose.weights)
+    k, log_share = _compute_chance(views, pose.model.translation, pose.weights, pose.noise)
+    choices = lgamma(n + 1.0) - lgamma(n - k + 1.0) - lgamma(4.0) - lgamma(k - 2.0)
+    return float(np.log(n) + choices + (k - 3.0) / k * log_share)
+
+
+@leaf
+def is_by_chance(views: Views, pose: Pose) -> bool:
+    """Return whether random matches could give a pose as good.
+
+    If all matches are inliers, there was no choice among them, and only the matches beyond the minimal three count as
+    evidence.
+    """
+    k, log_share = _compute_chance(views, pose.model.translation, pose.weights, pose.noise)
+    if k < len(pose.weights):
+        return bool(compute_log_false_alarms(views, pose) > np.log(MAX_FALSE_ALARMS))
+    return bool((k - 3.0) / k * log_share > np.log(MAX_FALSE_ALARMS))
 
 
 @leaf
@@ -321,16 +331,14 @@ def _sum_lanes(lanes: FloatArray, value: int) -> float:
 
 
 @leaf
-def _compute_loss(views: Views, pose: ModelPose, noise: Noise, workspace: Workspace) -> float:
-    """Return the loss as in `_build_normal_equations`."""
+def _compute_loss(squares: FloatArray, start: IntArray, noise: Noise) -> float:
+    """Return the loss as in `_build_normal_equations` from the squared distances (n,)."""
     loss = 0.0
-    for c in range(len(views.rotations)):
-        _camera_from_model(views, c, pose, workspace)
-        cutoff = noise.cutoffs[c]
-        loss_scale = 0.5 * cutoff / noise.variances[c]
-        for k in range(views.start[c], views.start[c + 1]):
-            depth, _, _, r0, r1 = _project_match(views, k, workspace)
-            loss += loss_scale * biquartic_loss((r0 * r0 + r1 * r1) / cutoff if depth > 0.0 else 2.0)
+    for c in range(len(start) - 1):
+        cutoff, camera_loss = noise.cutoffs[c], 0.0
+        for k in range(start[c], start[c + 1]):
+            camera_loss += biquartic_loss(squares[k] / cutoff)
+        loss += 0.5 * cutoff / noise.variances[c] * camera_loss
     return loss
 
 
@@ -342,37 +350,49 @@ def _copy_pose(target: ModelPose, source: ModelPose) -> None:
             target.rotation[i, j] = source.rotation[i, j]
 
 
-@kernel
-def minimize(views: Views, pose: ModelPose, noise: Noise, steps: int, damping: float) -> tuple[float, float]:
-    """Run Levenberg-Marquardt on the loss with constant noise, in place.
+@leaf
+def _solve_step(
+    hessian: FloatArray, gradient: FloatArray, damping: float, damped: FloatArray, step: FloatArray
+) -> float:
+    """Write the damped step (6,) and return the decrease it predicts; infinite, without a step, if they are singular.
 
-    Returns:
-        predicted decrease of the last step, and the damping to continue with.
+    Args:
+        damped: (6, 6) workspace.
     """
+    for i in range(6):
+        for j in range(6):
+            damped[i, j] = hessian[i, j]
+        damped[i, i] *= 1.0 + damping
+        step[i] = -gradient[i]
+    return -0.5 * dot(step, gradient) if cholesky_solve(damped, step) else np.inf
+
+
+@leaf
+def _move_pose(pose: ModelPose, step: FloatArray, out: ModelPose) -> None:
+    """Write the pose after a step (6,) of (w, d)."""
+    apply_rotvec(step[:3], pose.rotation, out.rotation)
+    for i in range(3):
+        out.translation[i] = pose.translation[i] + step[3 + i]
+
+
+@kernel
+def minimize(views: Views, pose: ModelPose, noise: Noise, steps: int, damping: float) -> None:
+    """Run Levenberg-Marquardt on the loss with constant noise, in place."""
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     new_hessian, new_gradient = np.empty((6, 6)), np.empty(6)
-    new = ModelPose(np.empty((3, 3)), np.empty(3))
-    damped, step, workspace = np.empty((6, 6)), np.empty(6), make_workspace()
+    new, damped, step, workspace = (
+        ModelPose(np.empty((3, 3)), np.empty(3)),
+        np.empty((6, 6)),
+        np.empty(6),
+        make_workspace(),
+    )
     loss = _build_normal_equations(views, pose, noise, hessian, gradient, workspace)
-    predicted_decrease = np.inf
-    for iteration in range(steps):
-        damped[:] = hessian
-        for i in range(6):
-            damped[i, i] *= 1.0 + damping
-            step[i] = -gradient[i]
-        if not cholesky_solve(damped, step):
+    for _ in range(steps):
+        if _solve_step(hessian, gradient, damping, damped, step) == np.inf:
             damping = max(10.0 * damping, 1e-8)
-            predicted_decrease = np.inf
             continue
-        predicted_decrease = -0.5 * dot(step, gradient)
-        apply_rotvec(step[:3], pose.rotation, new.rotation)
-        for i in range(3):
-            new.translation[i] = pose.translation[i] + step[3 + i]
-        if iteration + 1 < steps:
-            new_loss = _build_normal_equations(views, new, noise, new_hessian, new_gradient, workspace)
-        else:
-            # The last step needs no derivatives.
-            new_loss = _compute_loss(views, new, noise, workspace)
+        _move_pose(pose, step, new)
+        new_loss = _build_normal_equations(views, new, noise, new_hessian, new_gradient, workspace)
         if new_loss <= loss:
             _copy_pose(pose, new)
             hessian, new_hessian, gradient, new_gradient = new_hessian, hessian, new_gradient, gradient
@@ -380,27 +400,26 @@ def minimize(views: Views, pose: ModelPose, noise: Noise, steps: int, damping: f
             damping = 0.1 * damping if damping > 1e-6 else 0.0
         else:
             damping = max(10.0 * damping, 1e-3)
-    return predicted_decrease, damping
 
 
 @kernel
-def fit_pose(views: Views, start: ModelPose, max_square: float, max_iterations: int, max_steps: int) -> Pose:
+def fit_pose(views: Views, start: ModelPose, max_square: float) -> Pose:
     """Fit a pose robustly from a start by re-weighting with the noise estimated from the residuals.
 
     The median estimates the noise at first, because it tolerates outliers and an inexact start; then the weighted mean
-    square does, which is more efficient without outliers.
+    square does, which is more efficient without outliers. Each round takes one step of Levenberg-Marquardt.
 
     Args:
         max_square: squared distances beyond it are outliers whatever the noise.
-        max_iterations, max_steps: maximum number of iterations and steps in each (arguments, because Numba compiles a
-            version of `minimize` for every constant).
     """
-    pose, n = ModelPose(start.rotation.copy(), start.translation.copy()), len(views.points)
-    squares, weights, noise = np.empty(n), np.zeros(n), make_noise(views, max_square)
-    damping, freedom, predicted_decrease, change, workspace = 1e-4, 1.0, np.inf, np.inf, make_workspace()
+    pose, new = ModelPose(start.rotation.copy(), start.translation.copy()), ModelPose(np.empty((3, 3)), np.empty(3))
+    n, noise, workspace = len(views.points), make_noise(views, max_square), make_workspace()
+    squares, new_squares, weights = np.empty(n), np.empty(n), np.zeros(n)
+    hessian, gradient, damped, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+    damping, freedom, predicted_decrease, change = 1e-4, 1.0, np.inf, np.inf
+    compute_squares(views, pose, squares, workspace)
     iteration = 0
-    for iteration in range(max_iterations):
-        _compute_squares(views, pose, squares, workspace)
+    for iteration in range(MAX_ITERATIONS):
         previous_variance = noise.variances[0]
         if iteration < MEDIAN_ROUNDS:
             median, count = compute_median_square(squares, max_square)
@@ -416,160 +435,22 @@ def fit_pose(views: Views, start: ModelPose, max_square: float, max_iterations: 
             change = abs(noise.variances[0] / previous_variance - 1.0)
         if iteration > MEDIAN_ROUNDS and predicted_decrease < 1e-10 and change < 1e-4:
             break
-        predicted_decrease, damping = minimize(views, pose, noise, max_steps, damping)
+        loss = _build_normal_equations(views, pose, noise, hessian, gradient, workspace)
+        predicted_decrease = _solve_step(hessian, gradient, damping, damped, step)
+        if predicted_decrease == np.inf:
+            damping = max(10.0 * damping, 1e-8)
+            continue
+        _move_pose(pose, step, new)
+        compute_squares(views, new, new_squares, workspace)
+        if _compute_loss(new_squares, views.start, noise) <= loss:
+            _copy_pose(pose, new)
+            squares, new_squares = new_squares, squares
+            damping = 0.1 * damping if damping > 1e-6 else 0.0
+        else:
+            damping = max(10.0 * damping, 1e-3)
     compute_weights(squares, views.start, noise, weights)
     converged = predicted_decrease < 1e-4 and change < 0.1
     return Pose(pose, squares, weights, noise, iteration, freedom, converged)
-
-
-@kernel
-def compute_information(views: Views, pose: ModelPose, noise: Noise, out: FloatArray) -> None:
-    """Write the information on (w, d) to out (6, 6): the inverse of the covariance of the weighted estimate."""
-    _build_normal_equations(views, pose, noise, out, np.empty(6), make_workspace())
-    out *= INFORMATION_GAIN
-
-
-@leaf
-def _draw_sample(
-    views: Views, draw: FloatArray, over_cameras: bool, origins: FloatArray, rays: FloatArray, model: FloatArray
-) -> None:
-    """Write the rays and model points (3, 3) of three matches, uniform over all matches or over cameras.
-
-    Args:
-        draw: (6,) uniform in [0, 1).
-    """
-    for i in range(3):
-        k = int(draw[i] * len(views.points))
-        if over_cameras:
-            c = int(draw[3 + i] * len(views.rotations))
-            k = views.start[c] + int(draw[i] * (views.start[c + 1] - views.start[c]))
-        c = 0
-        while k >= views.start[c + 1]:
-            c += 1
-        q, t = views.rotations[c], views.translations[c]
-        u, v = views.images[k, 0], views.images[k, 1]
-        length = np.sqrt(u * u + v * v + 1.0)
-        for j in range(3):
-            origins[i, j] = -(q[0, j] * t[0] + q[1, j] * t[1] + q[2, j] * t[2])
-            rays[i, j] = (q[0, j] * u + q[1, j] * v + q[2, j]) / length
-            model[i, j] = views.points[k, j]
-
-
-@leaf
-def is_same_rotation(a: FloatArray, b: FloatArray) -> bool:
-    """Return whether two rotations (3, 3) differ by less than `SAME_ROTATION`."""
-    # The squared distance of two rotation matrices is 6 - 2 trace(A B^T), about twice the squared angle.
-    trace = 0.0
-    for i in range(3):
-        for j in range(3):
-            trace += a[i, j] * b[i, j]
-    return bool(3.0 - trace < SAME_ROTATION * SAME_ROTATION)
-
-
-@leaf
-def _find_same(rotation: FloatArray, rotations: FloatArray, scores: FloatArray) -> int:
-    """Return the index of the kept pose with about this rotation, or K if there is none."""
-    for k in range(len(rotations)):
-        if scores[k] < np.inf and is_same_rotation(rotation, rotations[k]):
-            return k
-    return len(rotations)
-
-
-@kernel
-def _keep_pose(
-    views: Views,
-    pose: ModelPose,
-    max_square: float,
-    rotations: FloatArray,
-    translations: FloatArray,
-    scores: FloatArray,
-    workspace: Workspace,
-) -> int:
-    """Insert a pose into those kept, in place of its duplicate or the worst; return its index, or K if it is worse."""
-    k = min(_find_same(pose.rotation, rotations, scores), len(rotations) - 1)
-    score = compute_score(views, pose, max_square, scores[k], workspace)
-    if not score < scores[k]:
-        return len(rotations)
-    while k > 0 and score < scores[k - 1]:
-        rotations[k], translations[k], scores[k] = rotations[k - 1], translations[k - 1], scores[k - 1]
-        k -= 1
-    rotations[k], translations[k], scores[k] = pose.rotation, pose.translation, score
-    return k
-
-
-@leaf
-def _mirror_pose(pose: ModelPose, thin_axis: FloatArray, out: ModelPose) -> None:
-    """Write the mirror pose of a flat object, which looks most alike from the cameras' center, the world's origin.
-
-    Rotations by 180 degrees about the object's normal, then about the viewing direction, preserve its scaled
-    orthographic image.
-    """
-    r, t, mirrored = pose.rotation, pose.translation, out.rotation
-    square = max(t[0] * t[0] + t[1] * t[1] + t[2] * t[2], 1e-300)
-    for j in range(3):
-        along = (t[0] * r[0, j] + t[1] * r[1, j] + t[2] * r[2, j]) / square
-        for i in range(3):
-            mirrored[i, j] = 2.0 * along * t[i] - r[i, j]
-    for i in range(3):
-        out.translation[i] = t[i]
-        along = mirrored[i, 0] * thin_axis[0] + mirrored[i, 1] * thin_axis[1] + mirrored[i, 2] * thin_axis[2]
-        for j in range(3):
-            mirrored[i, j] = 2.0 * along * thin_axis[j] - mirrored[i, j]
-
-
-@kernel
-def search_samples(
-    views: Views,
-    draws: FloatArray,
-    n_done: int,
-    max_square: float,
-    thin_axis: FloatArray,
-    rotations: FloatArray,
-    translations: FloatArray,
-    scores: FloatArray,
-) -> int:
-    """Sample three matches at random; refine and keep each best pose so far, and at last the best one's mirror pose.
-
-    Args:
-        draws: (S, 6) uniform in [0, 1), from which samples are made until they are enough.
-        n_done: number of samples of earlier calls.
-        max_square: squared distance beyond which a match is an outlier, pixels squared.
-        thin_axis: (3,) the direction in which the model extends least.
-        rotations, translations, scores: (K, 3, 3), (K, 3), (K + 1,): the distinct poses kept, best first, and the score
-            of the best sample; infinite scores initially.
-
-    Returns:
-        number of samples required.
-    """
-    n_kept, noise, workspace = len(translations), make_noise(views, max_square), make_workspace()
-    origins, rays, model = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    found_rotations, found_translations = np.empty((8, 3, 3)), np.empty((8, 3))
-    n_required, s = MAX_SAMPLES, 0
-    if scores[0] < np.inf:
-        n_required = _count_required_samples(views, ModelPose(rotations[0], translations[0]), max_square)
-    while s < len(draws) and n_done + s < n_required:
-        # Half of them uniform over cameras: one with many outliers must not dominate.
-        _draw_sample(views, draws[s], s % 2 == 1, origins, rays, model)
-        s += 1
-        best = -1
-        for h in range(solve_p3p(origins, rays, model, found_rotations, found_translations)):
-            found = ModelPose(found_rotations[h], found_translations[h])
-            value = compute_score(views, found, max_square, scores[n_kept], workspace)
-            if value < scores[n_kept]:
-                scores[n_kept], best = value, h
-        # Refining it would nearly always lead to a kept pose that is better already.
-        if best < 0 or scores[_find_same(found_rotations[best], rotations, scores)] < scores[n_kept]:
-            continue
-        pose = ModelPose(found_rotations[best], found_translations[best])
-        minimize(views, pose, noise, SEARCH_STEPS, 1e-3)
-        if _keep_pose(views, pose, max_square, rotations, translations, scores, workspace) == 0:
-            n_required = _count_required_samples(views, pose, max_square)
-    if n_done + s >= n_required and scores[0] < np.inf:
-        mirrored = ModelPose(found_rotations[0], found_translations[0])
-        _mirror_pose(ModelPose(rotations[0], translations[0]), thin_axis, mirrored)
-        minimize(views, mirrored, noise, 2 * SEARCH_STEPS, 1e-3)
-        _keep_pose(views, mirrored, max_square, rotations, translations, scores, workspace)
-    return n_required
 
 
 @leaf
@@ -666,3 +547,111 @@ def estimate_noise(
         variance = sums[c] / (freedom_ratio * counts[c]) if has_own_noise[c] else common
         set_noise(noise, c, variance, min_variance, freedom, max_square)
     return freedom
+
+
+class Assessment(NamedTuple):
+    """What follows from a fitted pose of n matches in C cameras.
+
+    Attributes:
+        information, covariance: (6, 6) of (w, d).
+        limits: (6,) standard deviations beyond which (w, d) are unobservable: an angle, and half of the distance.
+        is_observable: whether all directions of (w, d) are within the limits.
+        alternative: index of a pose with a different rotation that explains the matches about as well, or -1.
+        is_by_chance: whether random matches could give a pose as good.
+        n_supporting, n_opposing: number of cameras that support the pose, and of those that may support another one.
+        inliers, residuals: (C,) number of inliers of each camera, and their rms error, pixels; NaN without any.
+    """
+
+    information: FloatArray
+    covariance: FloatArray
+    limits: FloatArray
+    is_observable: bool
+    alternative: int
+    is_by_chance: bool
+    n_supporting: int
+    n_opposing: int
+    inliers: IntArray
+    residuals: FloatArray
+
+
+@kernel
+def assess_pose(
+    views: Views, pose: Pose, rotations: FloatArray, translations: FloatArray, n_alternatives: int
+) -> Assessment:
+    """Assess a fitted pose; the alternatives are those of `pose_search.Search`."""
+    n_cameras, min_distance = len(views.rotations), np.inf
+    information, covariance, limits = np.empty((6, 6)), np.empty((6, 6)), np.full(6, UNOBSERVABLE_ROTATION_SD)
+    _build_normal_equations(views, pose.model, pose.noise, information, np.empty(6), make_workspace())
+    variance = compute_median(pose.noise.variances.copy())
+    information *= INFORMATION_GAIN * _information_scale(pose, variance, views.min_variance)
+    compute_covariance(information, covariance)
+    inliers, residuals, n_supporting, n_opposing = np.zeros(n_cameras, np.int64), np.zeros(n_cameras), 0, 0
+    q, g, t = views.rotations, pose.model.translation, views.translations
+    for c in range(n_cameras):
+        for k in range(views.start[c], views.start[c + 1]):
+            if pose.weights[k] > 0.0:
+                inliers[c] += 1
+                residuals[c] += pose.squares[k]
+        residuals[c] = np.sqrt(residuals[c] / inliers[c])
+        count = views.start[c + 1] - views.start[c]
+        is_supporting = inliers[c] >= MIN_INLIER_RATIO * count
+        n_supporting += is_supporting
+        n_opposing += not is_supporting and count - inliers[c] >= MIN_MATCHES
+        square = 0.0
+        for i in range(3):
+            square += (q[c, i, 0] * g[0] + q[c, i, 1] * g[1] + q[c, i, 2] * g[2] + t[c, i]) ** 2
+        min_distance = min(min_distance, np.sqrt(square))
+    limits[3:] = UNOBSERVABLE_RATIO * min_distance
+    values, in_limits = np.empty(6), np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            in_limits[i, j] = information[i, j] * limits[i] * limits[j]
+    symmetric_eigen(in_limits, values, np.empty((6, 6)))
+    alternative = _find_alternative(views, pose, variance, rotations, translations, n_alternatives)
+    return Assessment(
+        information, covariance, limits, values[0] >= 1.0, alternative, is_by_chance(views, pose),
+        n_supporting, n_opposing, inliers, residuals,
+    )  # fmt: skip
+
+
+@leaf
+def _information_scale(pose: Pose, measured: float, known_variance: float) -> float:
+    """Return the factor of a pose's information for its uncertain noise.
+
+    The covariance becomes that of Student's distribution, and is not reduced by noise below the prior.
+
+    Args:
+        measured: variance of the noise, pixels squared.
+        known_variance: known variance of the noise, or 0.
+    """
+    freedom, prior = KNOWN_NOISE_FREEDOM, known_variance
+    total_freedom = pose.freedom + freedom
+    if not known_variance > 0.0:
+        freedom, prior, total_freedom = DEFAULT_NOISE_FREEDOM, DEFAULT_NOISE_PX * DEFAULT_NOISE_PX, pose.freedom
+    variance_ratio = measured * (pose.freedom + freedom) / (pose.freedom * measured + freedom * prior)
+    return max(total_freedom - 2.0, 0.5) / total_freedom * min(variance_ratio, 1.0)
+
+
+@kernel
+def _find_alternative(
+    views: Views, pose: Pose, measured: float, rotations: FloatArray, translations: FloatArray, n_alternatives: int
+) -> int:
+    """Return `Assessment.alternative`; arguments as there and of `_information_scale`."""
+    max_square, workspace, change, rotvec = CUTOFF * CUTOFF * measured, make_workspace(), np.empty((3, 3)), np.empty(3)
+    is_known = views.min_variance > 0.0
+    freedom = KNOWN_NOISE_FREEDOM if is_known else DEFAULT_NOISE_FREEDOM
+    prior = freedom * (views.min_variance if is_known else DEFAULT_NOISE_PX * DEFAULT_NOISE_PX)
+    best = 0.0
+    for a in range(-1, n_alternatives):
+        model = pose.model if a < 0 else ModelPose(rotations[a], translations[a])
+        loss = BIQUARTIC_BOUND * max_square * compute_score(views, model, max_square, np.inf, workspace) + prior
+        if a < 0:
+            best = loss
+        elif 0.5 * (pose.freedom + freedom) * np.log(loss / best) < np.log(CLEAR_ODDS):
+            for i in range(3):
+                for j in range(3):
+                    change[i, j] = dot(model.rotation[i], pose.model.rotation[j])
+            so3_log(change, rotvec)
+            if np.sqrt(dot(rotvec, rotvec)) > UNOBSERVABLE_ROTATION_SD:
+                return a
+    return -1

@@ -81,13 +81,13 @@ def invert_information(information: FloatArray) -> FloatArray:
     Infinite variances are on the diagonal; their covariances are 0.
     """
     covariance = np.empty(information.shape)
-    _invert_information(np.ascontiguousarray(information, dtype=float), covariance)
+    compute_covariance(np.ascontiguousarray(information, dtype=float), covariance)
     return covariance
 
 
 @kernel
-def _invert_information(information: FloatArray, covariance: FloatArray) -> None:
-    """Write `invert_information` to covariance (n, n)."""
+def compute_covariance(information: FloatArray, covariance: FloatArray) -> None:
+    """Write the inverse of an information matrix to covariance (n, n), as `invert_information` does."""
     n = len(information)
     scale, scaled, values, vectors = np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, n))
     for i in range(n):

@@ -318,12 +318,12 @@ def find_distinct_rows(a: FloatArray, b: FloatArray) -> DistinctRows | None:
     several orientations, or a file read twice. They are no independent measurements: counting them makes an estimator
     overconfident, and a match that agrees only with its copies looks like a majority.
     """
-    count, rows, inverse = _find_distinct_rows(a, b)
+    count, rows, inverse = index_distinct_rows(a, b)
     return None if count == len(a) else DistinctRows(rows[:count], inverse)
 
 
 @kernel
-def _find_distinct_rows(a: FloatArray, b: FloatArray) -> tuple[int, IntArray, IntArray]:
+def index_distinct_rows(a: FloatArray, b: FloatArray) -> tuple[int, IntArray, IntArray]:
     """Return the number of distinct rows, their indices (the first elements), and each row's position in them (n,)."""
     n, size, count = len(a), 4, 0
     while size < 2 * n:

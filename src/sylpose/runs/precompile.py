@@ -28,6 +28,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.features import klt, static_background
 from sylpose.features.patches import find_unmoved, sample_patches
@@ -91,6 +92,13 @@ def compile_landmarks() -> None:
     known.depth_error  # noqa: B018 computing the property compiles it
 
 
+def compile_absolute_pose() -> None:
+    """Compile the pose of a known object, as in relocalization, also where cameras contradict each other."""
+    rig, points = ring(2, height=(0.4, -0.1)), np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
+    rotated = Rotation.from_rotvec([0.0, 0.0, 0.4]).apply(points)
+    estimate_pose(rig, [points] * 2, [camera.project(x) for camera, x in zip(rig, (points, rotated), strict=True)])
+
+
 def compile_bundle_adjustment() -> None:
     """Compile the bundle adjustment of all poses."""
     rig, points = ring(3, height=(0.4, -0.1, 0.2)), np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
@@ -106,6 +114,7 @@ def compile_tracking() -> None:
     """Compile what tracking needs besides the fit of a motion."""
     warm_up_evidence()
     compile_landmarks()
+    compile_absolute_pose()
     compile_bundle_adjustment()
     compile_klt()
 
