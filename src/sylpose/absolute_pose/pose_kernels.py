@@ -60,6 +60,8 @@ ROUNDING_PX = 1e-6
 MIN_DEVIATION_SIGMAS, MIN_OWN_FREEDOM = 4.0, 8.0
 # Rounds of re-weighting (choice).
 MAX_ITERATIONS = 50
+# A search has converged if the loss decreases by less (choice: a hundredth of a standard deviation).
+MIN_DECREASE = 1e-4
 # Iterations of re-weighting with the median's noise (choice).
 MEDIAN_ROUNDS = 3
 # Normal equations process eight matches at a time, in a loop over lanes of one array with constant offsets, so that the
@@ -388,7 +390,10 @@ def minimize(views: Views, pose: ModelPose, noise: Noise, steps: int, damping: f
     )
     loss = _build_normal_equations(views, pose, noise, hessian, gradient, workspace)
     for _ in range(steps):
-        if _solve_step(hessian, gradient, damping, damped, step) == np.inf:
+        predicted_decrease = _solve_step(hessian, gradient, damping, damped, step)
+        if predicted_decrease < MIN_DECREASE:
+            break
+        if predicted_decrease == np.inf:
             damping = max(10.0 * damping, 1e-8)
             continue
         _move_pose(pose, step, new)

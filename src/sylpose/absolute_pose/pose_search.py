@@ -33,8 +33,9 @@ SAME_ROTATION = 0.05
 MAX_SEARCH_MATCHES = 500
 # Poses kept (choice).
 N_KEPT = 6
-# A start is discarded if its score exceeds the best by this factor and this number of matches (choice).
-MAX_SCORE_RATIO, MAX_SCORE_EXCESS = 2.0, 3.0
+# A start is discarded if its score exceeds the best by this factor and this number of matches, or if it fits less than
+# this share of the matches that the best fits (choice).
+MAX_SCORE_RATIO, MAX_SCORE_EXCESS, MIN_FIT_RATIO = 2.0, 3.0, 0.5
 # Increment of the random numbers: Knuth's MMIX (derived).
 RANDOM_INCREMENT = 1442695040888963407
 
@@ -66,7 +67,9 @@ def search_poses(views: Views, max_square: float, seed: int) -> Search:
     subset = _select_subset(views, state) if len(views.points) > MAX_SEARCH_MATCHES else views
     rotations, translations, scores = np.zeros((N_KEPT, 3, 3)), np.zeros((N_KEPT, 3)), np.full(N_KEPT + 1, np.inf)
     search_samples(subset, state, max_square, rotations, translations, scores)
-    n_starts, max_score = 0, MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS
+    n = len(subset.points)
+    max_score = min(MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS, n - MIN_FIT_RATIO * (n - scores[0]))
+    n_starts = 0
     while n_starts < N_KEPT and scores[n_starts] < np.inf and scores[n_starts] <= max_score:
         n_starts += 1
     found = _fit_poses(subset, rotations, translations, n_starts, max_square)
