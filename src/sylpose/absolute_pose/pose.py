@@ -133,14 +133,14 @@ def _estimate(
     if found.n_poses == 0:
         return _make_empty_result(rig, ends, Status.NOT_CONSISTENT, center)
     best = found.best
-    assessment = assess_pose(views, best, found.rotations[1:], found.translations[1:], found.n_poses - 1)
+    assessment = assess_pose(
+        selection, best, found.rotations[1:], found.translations[1:], found.n_poses - 1, units.per_px
+    )
     status = Status.OK if best.converged else Status.NOT_CONVERGED
-    n_inliers = int(assessment.inliers.sum())
-    all_inliers = n_inliers == len(views.points)
     faults: tuple[str, ...] = ()
-    if not all_inliers and assessment.is_by_chance:
+    if not assessment.all_inliers and assessment.is_by_chance:
         status = Status.NOT_CONSISTENT
-    elif not all_inliers and _is_contradicted(views, best, assessment, max_square, seed):
+    elif not assessment.all_inliers and _is_contradicted(views, best, assessment, max_square, seed):
         status = Status.NOT_CONSISTENT
         if (size := _estimate_model_scale(views, max_square, seed)) is not None:
             times = np.format_float_positional(size, trim="-")
@@ -157,22 +157,15 @@ def _estimate(
             status = Status.ROTATION_NOT_OBSERVABLE if is_rotation else Status.SCALE_NOT_OBSERVABLE
         elif assessment.is_by_chance:
             status = Status.NOT_CONSISTENT
-    residuals = np.full(len(rig), np.nan)
-    residuals[selection.cameras] = assessment.residuals / units.per_px[selection.cameras]
-    is_used_inlier = np.append(best.weights > 0.0, False)  # the last one for matches that are not used
-    is_inlier = is_used_inlier[selection.used]
-    matrix = np.eye(4)
-    matrix[:3, :3] = best.model.rotation
-    matrix[:3, 3] = selection.origin + best.model.translation - best.model.rotation @ center
     return Motion(
         status=status,
-        motion=RigidTransform(matrix, normalize=False) if status.has_pose else None,
+        motion=RigidTransform(assessment.transform, normalize=False) if status.has_pose else None,
         center=center,
         information=assessment.information,
         covariance=assessment.covariance,
         unobservable=unobservable,
-        inliers=tuple([is_inlier[begin:end] for begin, end in pairwise(ends)]),
-        residuals=residuals,
+        inliers=tuple([assessment.is_inlier[begin:end] for begin, end in pairwise(ends)]),
+        residuals=assessment.residuals,
         method=METHOD,
         iterations=best.iterations,
         faults=faults,

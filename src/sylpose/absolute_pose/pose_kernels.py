@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.absolute_pose.views import MIN_MATCHES, Views
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.absolute_pose.views import MIN_MATCHES, Selection, Views
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import compute_covariance
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, UNOBSERVABLE_ROTATION_SD, add_rotated
 from sylpose.geometry.numba_linalg import (
@@ -555,18 +555,23 @@ def estimate_noise(
 
 
 class Assessment(NamedTuple):
-    """What follows from a fitted pose of n matches in C cameras.
+    """What follows from a fitted pose of C cameras with matches.
 
     Attributes:
+        transform: (4, 4) world_from_object.
         information, covariance: (6, 6) of (w, d).
         limits: (6,) standard deviations beyond which (w, d) are unobservable: an angle, and half of the distance.
         is_observable: whether all directions of (w, d) are within the limits.
         alternative: index of a pose with a different rotation that explains the matches about as well, or -1.
         is_by_chance: whether random matches could give a pose as good.
         n_supporting, n_opposing: number of cameras that support the pose, and of those that may support another one.
-        inliers, residuals: (C,) number of inliers of each camera, and their rms error, pixels; NaN without any.
+        inliers: (C,) number of inliers of each camera.
+        all_inliers: whether all used matches are inliers.
+        is_inlier: (n,) whether each given match is an inlier.
+        residuals: rms error of the inliers of each camera of the rig, pixels; NaN without any.
     """
 
+    transform: FloatArray
     information: FloatArray
     covariance: FloatArray
     limits: FloatArray
@@ -576,28 +581,42 @@ class Assessment(NamedTuple):
     n_supporting: int
     n_opposing: int
     inliers: IntArray
+    all_inliers: bool
+    is_inlier: BoolArray
     residuals: FloatArray
 
 
 @kernel
 def assess_pose(
-    views: Views, pose: Pose, rotations: FloatArray, translations: FloatArray, n_alternatives: int
+    selection: Selection,
+    pose: Pose,
+    rotations: FloatArray,
+    translations: FloatArray,
+    n_alternatives: int,
+    per_px: FloatArray,
 ) -> Assessment:
-    """Assess a fitted pose; the alternatives are those of `pose_search.Search`."""
+    """Assess a fitted pose.
+
+    Args:
+        rotations, translations: (K, 3, 3) and (K, 3), `n_alternatives` of them alternatives.
+        per_px: units of the image plane per pixel, for each camera of the rig.
+    """
+    views = selection.views
     n_cameras, min_distance = len(views.rotations), np.inf
     information, covariance, limits = np.empty((6, 6)), np.empty((6, 6)), np.full(6, UNOBSERVABLE_ROTATION_SD)
     _build_normal_equations(views, pose.model, pose.noise, information, np.empty(6), make_workspace())
     variance = compute_median(pose.noise.variances.copy())
     information *= INFORMATION_GAIN * _information_scale(pose, variance, views.min_variance)
     compute_covariance(information, covariance)
-    inliers, residuals, n_supporting, n_opposing = np.zeros(n_cameras, np.int64), np.zeros(n_cameras), 0, 0
+    inliers, residuals, n_supporting, n_opposing = np.zeros(n_cameras, np.int64), np.full(len(per_px), np.nan), 0, 0
     q, g, t = views.rotations, pose.model.translation, views.translations
     for c in range(n_cameras):
+        squares = 0.0
         for k in range(views.start[c], views.start[c + 1]):
             if pose.weights[k] > 0.0:
                 inliers[c] += 1
-                residuals[c] += pose.squares[k]
-        residuals[c] = np.sqrt(residuals[c] / inliers[c])
+                squares += pose.squares[k]
+        residuals[selection.cameras[c]] = np.sqrt(squares / inliers[c]) / per_px[selection.cameras[c]]
         count = views.start[c + 1] - views.start[c]
         is_supporting = inliers[c] >= MIN_INLIER_RATIO * count
         n_supporting += is_supporting
@@ -613,9 +632,19 @@ def assess_pose(
             in_limits[i, j] = information[i, j] * limits[i] * limits[j]
     symmetric_eigen(in_limits, values, np.empty((6, 6)))
     alternative = _find_alternative(views, pose, variance, rotations, translations, n_alternatives)
+    is_inlier = np.zeros(len(selection.used), np.bool_)
+    for k in range(len(is_inlier)):
+        is_inlier[k] = selection.used[k] >= 0 and pose.weights[selection.used[k]] > 0.0
+    transform, center = np.eye(4), selection.center
+    for i in range(3):
+        r = pose.model.rotation[i]
+        for j in range(3):
+            transform[i, j] = r[j]
+        transform[i, 3] = selection.origin[i] + g[i] - (r[0] * center[0] + r[1] * center[1] + r[2] * center[2])
+    all_inliers = inliers.sum() == len(views.points)
     return Assessment(
-        information, covariance, limits, values[0] >= 1.0, alternative, is_by_chance(views, pose),
-        n_supporting, n_opposing, inliers, residuals,
+        transform, information, covariance, limits, values[0] >= 1.0, alternative, is_by_chance(views, pose),
+        n_supporting, n_opposing, inliers, all_inliers, is_inlier, residuals,
     )  # fmt: skip
 
 
