@@ -33,9 +33,11 @@ SAME_ROTATION = 0.05
 MAX_SEARCH_MATCHES = 500
 # Poses kept (choice).
 N_KEPT = 6
-# A start is discarded if its score exceeds the best by this factor and this number of matches, or if it fits less than
-# this share of the matches that the best fits (choice).
-MAX_SCORE_RATIO, MAX_SCORE_EXCESS, MIN_FIT_RATIO = 2.0, 3.0, 0.5
+# A start is discarded if its score exceeds the best by this factor and this number of matches (choice).
+MAX_SCORE_RATIO, MAX_SCORE_EXCESS = 2.0, 3.0
+# So is one that fits less than this share of the matches that the best fits, if the odds against such a start exceed
+# exp(CLEAR_LOG_ODDS). Below that, random poses show how little the best one explains (choice).
+MIN_FIT_RATIO, CLEAR_LOG_ODDS = 0.5, 20.0
 # Increment of the random numbers: Knuth's MMIX (derived).
 RANDOM_INCREMENT = 1442695040888963407
 
@@ -64,11 +66,15 @@ def search_poses(views: Views, max_square: float, seed: int) -> Search:
         seed: of the samples.
     """
     state = np.full(1, seed)
+    for _ in range(2):
+        _draw(state)  # the first numbers are linear in the seed
     subset = _select_subset(views, state) if len(views.points) > MAX_SEARCH_MATCHES else views
     rotations, translations, scores = np.zeros((N_KEPT, 3, 3)), np.zeros((N_KEPT, 3)), np.full(N_KEPT + 1, np.inf)
     search_samples(subset, state, max_square, rotations, translations, scores)
-    n = len(subset.points)
-    max_score = min(MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS, n - MIN_FIT_RATIO * (n - scores[0]))
+    best, n_fitted = scores[0], len(subset.points) - scores[0]
+    max_score, max_clear = MAX_SCORE_RATIO * best + MAX_SCORE_EXCESS, best + (1.0 - MIN_FIT_RATIO) * n_fitted
+    if n_fitted * np.log(max_clear / best) > CLEAR_LOG_ODDS:
+        max_score = min(max_score, max_clear)
     n_starts = 0
     while n_starts < N_KEPT and scores[n_starts] < np.inf and scores[n_starts] <= max_score:
         n_starts += 1
