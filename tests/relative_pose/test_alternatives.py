@@ -59,6 +59,7 @@ def fit_from_truth(kind: str, number: int) -> tuple[Stack, IrlsFit]:
         ("two opposite, flat", 9909),  # the other minimum is found from more rotations
         ("two cameras, flat", 20012),  # as likely along the weakest direction
         ("all wrong", 9915),  # permuted matches show no motion at all
+        ("all wrong", 10006),  # a minority of inliers
         ("x to the left", 9917),  # two kinds of axes explain the contradiction
     ],
 )

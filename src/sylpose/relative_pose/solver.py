@@ -149,8 +149,7 @@ def _exceeds_chance(
     that of fits to permuted matches, of which any is chance.
     """
     stack, usable = problem.stack, problem.usable
-    has_many = observability.is_more_than_chance(checks.inliers, 0.0, N_MOTION)
-    if has_many and (checks.has_certain_inliers or observability.is_consistent(stack, usable, result.fit)):
+    if checks.has_certain_inliers and observability.is_more_than_chance(checks.inliers, 0.0, N_MOTION):
         return True
     # One or two matches of a camera cannot be permuted.
     indices = [first + np.flatnonzero(usable[first:last]) for first, last in pairwise(stack.offsets.tolist())]
