@@ -26,10 +26,6 @@ from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack
 # How far the log-likelihood of a minimum to refine may be below the best: the moments, with denominators at the mean rays,
 # misjudge it by some tens for large rotations (choice).
 MAX_LIKELIHOOD_GAP = 60.0
-# Passes with few terms (matches of one camera with one frame), and how many are few (choice: without the second pass 25
-# instead of 18 of 224 pairs of images are wrong and sure). Later passes skip minima whose rotation differs from a refined
-# one by less than this share of the rotation (choice).
-N_PASSES, MAX_FEW_TERMS, SAME_ROTATION_SHARE = 2, 2, 0.1
 
 
 class RefinedMinima(NamedTuple):
@@ -76,57 +72,40 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         picks: (h, 4) in [0, 1): random numbers that select the seeds' quadruples.
         guesses: initial motions in addition to the built-in ones.
     """
-    fit = make_empty_irls_fit(stack)
-    k = N_PASSES * MAX_HYPOTHESES
+    fit, k = make_empty_irls_fit(stack), MAX_HYPOTHESES
     refined = RefinedMinima(np.zeros((k, 3, 3)), np.zeros((k, 3)), np.full(k, np.inf), np.zeros(k))
     n, trial = stack.focal.shape[0], make_empty_irls_fit(stack)
-    sums, first_sigma = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
+    sums, first_sigma, minima = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n), make_minima(k, n)
     _select_seeds(stack, usable, picks, trial.weights, first_sigma)
-    best, decrease, iterations = np.inf, np.inf, 0
-    seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), make_minima(MAX_HYPOTHESES, n)
-    # Mismatches among the seeds displace the minima. Few cameras leave many minima to distinguish, so a second pass
-    # searches the inliers of the first.
-    for pass_index in range(N_PASSES if n <= MAX_FEW_TERMS else 1):
-        for t in range(n):
-            first, last = stack.offsets[t], stack.offsets[t + 1]
-            compute_moments(stack.x[first:last], stack.y[first:last], seeds[first:last], sums.moments[t])
-            # A term without seeds contributes nothing, but its count must be positive.
-            if not sums.moments[t, 8, 8] > 0.0:
-                sums.moments[t, 8, 8] = HALF_DIGITS
-            sums.variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
-        iterations += search_minima(stack, sums, guesses, minima)
-        for m in range(MAX_HYPOTHESES):
-            # Refine further minima if they are nearly as likely, or if the first did not converge.
-            if not minima.likelihoods[m] > (
-                minima.likelihoods[0] - MAX_LIKELIHOOD_GAP if decrease < CONVERGED_DECREASE else -np.inf
-            ):
-                continue
-            if pass_index > 0 and _is_refined(minima.rotations[m], refined, MAX_HYPOTHESES * pass_index + m):
-                continue
-            for n_known in range(2):
-                # Start at the minimum, with everything else at its prior; if that diverges, at its distances, too.
-                trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
-                trial.candidate.rotation[:], trial.candidate.translation[:] = (
-                    minima.rotations[m],
-                    minima.translations[m],
-                )
-                trial.candidate.depth_model[:] = stack.depth_model_mean
-                trial.candidate.depth_model[:, 1 - n_known : 3] = minima.depth_models[m, :, 1 - n_known :]
-                done, new_decrease, cost = fit_edge_on(stack, usable, trial, True)
-                iterations += done
-                if cost < np.inf:
-                    break
-            k = MAX_HYPOTHESES * pass_index + m
-            refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
-            refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
-            if cost < best:
-                best, decrease = cost, new_decrease
-                copy_fit(fit, trial)
-        if not best < np.inf:
-            break
-        for i in range(len(seeds)):
-            seeds[i] = 1.0 if fit.weights[i] > 0.0 else 0.0
-        sigma_px[:] = fit.sigma_px
+    for t in range(n):
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        compute_moments(stack.x[first:last], stack.y[first:last], trial.weights[first:last], sums.moments[t])
+        # A term without seeds contributes nothing, but its count must be positive.
+        if not sums.moments[t, 8, 8] > 0.0:
+            sums.moments[t, 8, 8] = HALF_DIGITS
+        sums.variance[t] = (first_sigma[t] / stack.focal[t]) ** 2
+    best, decrease, iterations = np.inf, np.inf, search_minima(stack, sums, guesses, minima)
+    for m in range(MAX_HYPOTHESES):
+        # Refine further minima if they are nearly as likely, or if the first did not converge.
+        if not minima.likelihoods[m] > (
+            minima.likelihoods[0] - MAX_LIKELIHOOD_GAP if decrease < CONVERGED_DECREASE else -np.inf
+        ):
+            continue
+        for n_known in range(2):
+            # Start at the minimum, with everything else at its prior; if that diverges, at its distances, too.
+            trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
+            trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
+            trial.candidate.depth_model[:] = stack.depth_model_mean
+            trial.candidate.depth_model[:, 1 - n_known : 3] = minima.depth_models[m, :, 1 - n_known :]
+            done, new_decrease, cost = fit_edge_on(stack, usable, trial, True)
+            iterations += done
+            if cost < np.inf:
+                break
+        refined.rotations[m], refined.translations[m] = trial.candidate.rotation, trial.candidate.translation
+        refined.costs[m], refined.inliers[m] = cost, (trial.weights > 0.0).sum()
+        if cost < best:
+            best, decrease = cost, new_decrease
+            copy_fit(fit, trial)
     max_sigma = MAX_SIGMA_GROWTH * first_sigma.max()
     if best < np.inf:
         done, new_decrease, cost = _refit_with_more_noise(stack, usable, fit, max_sigma, best, trial)
@@ -172,22 +151,6 @@ def draw_and_fit(stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: 
     """Run `fit_robust_motion` with quadruples drawn from rng."""
     # Pass probabilities, as for a mixture: a single compiled version is sufficient.
     return fit_robust_motion(stack, usable.astype(np.float64), rng.random((N_QUADRUPLES, 4)), guesses)
-
-
-@kernel
-def _is_refined(rotation: FloatArray, refined: RefinedMinima, count: int) -> bool:
-    """Return whether one of the first `count` refined minima has about this rotation (3, 3)."""
-    rotation_gap = 3.0 - (rotation[0, 0] + rotation[1, 1] + rotation[2, 2])
-    for k in range(count):
-        if not refined.costs[k] < np.inf:
-            continue
-        gap = 3.0
-        for i in range(3):
-            for j in range(3):
-                gap -= rotation[i, j] * refined.rotations[k, i, j]
-        if gap < SAME_ROTATION_SHARE**2 * rotation_gap:
-            return True
-    return False
 
 
 @kernel
