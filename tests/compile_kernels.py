@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose import estimate_motion
-from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
@@ -46,10 +45,6 @@ def paper() -> None:
     solve_depth_plane(rotations, moments)
 
 
-def absolute_pose() -> None:
-    estimate_pose(RIG, [POINTS] * len(RIG), [camera.project(TURN.apply(POINTS)) for camera in RIG])
-
-
 def two_bodies() -> None:
     both = [
         zip(make_observations(Rotation.identity()), make_observations(turn), strict=True)
@@ -69,7 +64,7 @@ def run_timed(part: Callable[[], None]) -> str:
 
 def main() -> None:
     # The longest first.
-    parts, wholes = [*(part.compile for part in PARTS.values()), paper, absolute_pose], [two_bodies]
+    parts, wholes = [*(part.compile for part in PARTS.values()), paper], [two_bodies]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         done = [*pool.map(run_timed, parts)]
     print("compiled:", ", ".join([*done, *map(run_timed, wholes)]), file=sys.stderr)

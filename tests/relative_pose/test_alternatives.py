@@ -11,9 +11,18 @@ from benchmarks.honesty_kinds import make_problem
 from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_constrained_irls, run_irls
 from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
 from sylpose.relative_pose.planes import fit_edge_on, triangulate_planes
+from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
-from sylpose.relative_pose.uncertainty import compute_freedom, compute_square_root, inflate
+from sylpose.relative_pose.uncertainty import (
+    MAX_INCLUDED_SQUARE,
+    compute_freedom,
+    compute_square_root,
+    displace_along_weak_direction,
+    inflate,
+    inflate_covariance,
+    list_other_minima,
+)
 from sylpose.simulate import arc, plane, random_motion, simulate_matches
 from sylpose.status import Status
 from tests.scenes import make_terms
@@ -186,7 +195,7 @@ def test_constraint_is_kept(direction: int) -> None:
 
 def test_one_of_two_motions_of_a_plane_is_right() -> None:
     """Two cameras close together see two minima: without perspective, of a plane and of its second plane."""
-    rig, errors = arc(2, 10.0, 2.5), []
+    rig, errors, ambiguous = arc(2, 10.0, 2.5), [], 0
     for seed in range(24):
         rng = np.random.default_rng(seed)
         motion = random_motion(8.0, 0.01, rng)
@@ -196,12 +205,53 @@ def test_one_of_two_motions_of_a_plane_is_right() -> None:
         pair = simulate_matches(rig, plane((0.3, 0.3)), motion, rng=rng, noise_px=0.3, start=start)
         data = make_terms(rig, pair.matches)
         fit = fit_terms(data, *locate_object(data), [], rng)
-        if fit.alternative is not None:
-            found = Rotation.from_matrix(np.stack([fit.rotation, fit.alternative[0]]))
-            errors.append(np.degrees((found * motion.rotation.inv()).magnitude()).min())
-    assert len(errors) > 8
+        found = [fit.rotation] if fit.alternative is None else [fit.rotation, fit.alternative[0]]
+        ambiguous += len(found) - 1
+        errors.append(np.degrees((Rotation.from_matrix(found) * motion.rotation.inv()).magnitude()).min())
+    assert ambiguous > 8
     assert np.median(errors) < 2.0
     assert np.max(errors) < 6.0
+
+
+def test_minima_are_listed_once() -> None:
+    _, found = fit_from_truth("two cameras", 1)
+    R, d, _ = found.candidate
+    away = Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix() @ R
+    minima = RefinedMinima(
+        np.stack([away, R, away, R]), np.stack([d, d, d, d + 0.5]), np.array([3.0, 1.0, 4.0, np.inf]), np.full(4, 50.0)
+    )
+    listed = list_other_minima(found, minima)
+    assert len(listed) == 1
+    np.testing.assert_array_equal(listed[0][0], away)
+
+
+@pytest.mark.parametrize("loss", [-3.0, 0.0, 20.0])
+def test_covariance_is_inflated_to_a_displaced_motion(loss: float) -> None:
+    """Its squared distance becomes twice the loss, or what chance allows; a large covariance remains."""
+    _, found = fit_from_truth("two cameras", 1)
+    target = max(2.0 * loss, MAX_INCLUDED_SQUARE)
+    for share in (0.9, 1.1, 30.0):
+        step = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0])
+        step *= np.sqrt(share * target / (step @ found.information @ step))
+        rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ found.candidate.rotation
+        displaced = found.candidate._replace(rotation=rotation)
+        column = inflate_covariance(found.information, found, displaced, loss)
+        inflated = inflate(found.information, column)
+        assert float(step @ inflated @ step) == pytest.approx(min(share, 1.0) * target, rel=1e-6)
+        assert column.shape[1] == (share > 1.0)
+
+
+def test_displaced_motions_are_minima_across_the_weakest_direction() -> None:
+    stack, found = fit_from_truth("narrow", 3)
+    usable = np.ones(len(stack.x))
+    displaced = displace_along_weak_direction(stack, usable, found, 0.15)
+    _, _, cost = run_irls(stack, usable, make_irls_start(stack, found.candidate, found.sigma_px), SIGMA_FLOOR_PX)
+    assert len(displaced) == 2
+    assert all(c > cost - 1.0 for _, c in displaced)
+    assert (
+        displace_along_weak_direction(*fit_from_truth("solid", 1)[:1], usable, fit_from_truth("solid", 1)[1], 0.15)
+        == []
+    )
 
 
 def test_inflation_adds_to_the_covariance() -> None:

@@ -177,7 +177,7 @@ def _estimate(
 def _find_unobservable(found: Search, assessment: Assessment) -> FloatArray:
     """Return the unobservable directions (k, 6) of (w, d), in units of the limits, or the one to another pose."""
     directions = find_unobservable_directions(assessment.information, assessment.limits)
-    if len(directions):
+    if len(directions) or assessment.alternative < 0:
         return directions
     other, best = 1 + assessment.alternative, found.best.model
     change = found.translations[other] - best.translation

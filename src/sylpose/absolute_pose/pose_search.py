@@ -139,11 +139,8 @@ def _select_subset(views: Views, state: IntArray) -> Views:
         # One match at random of each of as many equal parts.
         size = (start[c + 1] - start[c]) / count
         for k in range(count):
-            m = (
-                start[c] + min(int((k + _draw(state)) * size), start[c + 1] - start[c] - 1)
-                if size > 1.0
-                else start[c] + k
-            )
+            first, end = int(k * size), int((k + 1) * size)
+            m = start[c] + first + int(_draw(state) * (end - first)) if size > 1.0 else start[c] + k
             points[new_start[c] + k], images[new_start[c] + k] = views.points[m], views.images[m]
             to_pixels[new_start[c] + k] = views.to_pixels[m]
     return Views(

@@ -27,7 +27,7 @@ class FitDiagnostics(NamedTuple):
     Attributes:
         inliers: number of inliers.
         is_finite: whether the search converged to finite values.
-        has_certain_inliers: whether the share of inliers exceeds chance without a further test (`is_consistent`).
+        has_certain_inliers: whether the share of inliers exceeds chance without a further test (`solver`).
         has_uniform_residuals: whether the inliers' residuals are uniform instead of noise: selected by the noise bound.
         has_static_candidates: whether the matches may contain a background (`has_static_candidates`).
         is_collinear: whether the inliers are collinear (`is_collinear`).

@@ -231,11 +231,9 @@ def find_pixel_axes(rig: Rig, data: Sequence[TermData], excess: FloatArray) -> s
         # Without a camera the others agree more easily.
         is_known = np.isfinite(found).sum() >= np.isfinite(excess).sum()
         ratios.append(compute_f_ratio(found, len(found)) if is_known else np.inf)
-    best = min(ratios)
-    if not (best <= MAX_AGREEING and MIN_AXES_REDUCTION * best < given):
-        return ""
-    alike = [text for text, ratio in zip(PIXEL_AXES.values(), ratios, strict=True) if explains_as_well(ratio, best)]
-    return " or ".join(alike)
+    limit = min(MAX_AGREEING, given / MIN_AXES_REDUCTION)
+    alike = [ratio < limit and explains_as_well(ratio, min(ratios)) for ratio in ratios]
+    return "; or ".join(text for text, agrees in zip(PIXEL_AXES.values(), alike, strict=True) if agrees)
 
 
 def _undo(rig: Rig, pair: FramePair, hypothesis: Hypothesis) -> list[tuple[Camera, CameraMatches]]:

@@ -2,9 +2,9 @@
 
 The planar part of the cost has no local minimum near the identity, so the search starts there. Few cameras, flat objects,
 small rotations and transparent bodies cause other minima: mirror images, with the rotation across a camera's axis reversed
-and near and far exchanged, and a family of motions that a plane hardly distinguishes. Rotations in all directions, of an
-eighth to twice the first minimum's, are therefore tried as well, every other one after steps with the planar part alone,
-and the likeliest wins.
+and near and far exchanged, and a family of motions that a plane hardly distinguishes. Random rotations are therefore tried
+as well, with a standard deviation per axis of an eighth to twice the first minimum's angle, every other one after steps
+with the planar part alone, and the likeliest wins.
 
 Source: the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the starts are ours (docs/method/3-pose.md).
 """
@@ -42,8 +42,8 @@ from sylpose.relative_pose.terms import Candidate, InitialMotions, Stack, copy_i
 # motions (measured: creeps in benchmarks/kinds.py, 48 degrees off); without one, two bodies are found as one motion
 # (tests/tracking/test_bodies.py) (choice).
 CHECK_STEPS, MAX_LIKELIHOOD_GAP = 3, 300.0
-# Two minima are the same if their rotations, radians, and their translations, relative to their length, differ by less; so
-# are two starts if their rotations, relative to their angle, do (choice).
+# Two minima are the same if their rotations, radians, and their translations, relative to their length, differ by less
+# (choice).
 SAME_MOTION = 0.01
 # A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
 # (choice).
@@ -306,11 +306,12 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
             guess = start - 1
             candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
         else:
+            k = start - 1 - n_guesses
             for i in range(3):
-                rotvec[i] = angle * RANDOM_ROTVECS[start - 1 - n_guesses, i]
+                rotvec[i] = angle * RANDOM_ROTVECS[k, i]
             so3_exp(rotvec, candidate.rotation)
             candidate.translation[:] = first_translation
-            if start % 2 == 0:
+            if k % 2 == 1:
                 done, _, _ = descend(stack, sums, True, CHECK_STEPS, candidate, INITIAL_DAMPING, workspace)
                 count += done
         decrease, damping = np.inf, INITIAL_DAMPING

@@ -27,7 +27,7 @@ from sylpose.relative_pose.camera_evidence import (
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
-from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, MAX_STEPS, SIGMA_FLOOR_PX
+from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, SIGMA_FLOOR_PX
 from sylpose.relative_pose.planes import fit_edge_on, is_flat
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import (
@@ -146,9 +146,12 @@ def _exceeds_chance(
     """Return whether the matches agree with the fit better than mismatches would.
 
     If the number of inliers is no certain evidence, because they are few or a minority, the likelihood is compared with
-    that of fits to permuted matches, of which any is chance.
+    that of fits to permuted matches, of which any is chance. Searches without a result are repeated, as often at most.
     """
     stack, usable = problem.stack, problem.usable
+    cost, costs = float(result.minima.costs.min()), list[float]()
+    if not cost < np.inf:
+        return False
     if checks.has_certain_inliers and observability.is_more_than_chance(checks.inliers, 0.0, N_MOTION):
         return True
     # One or two matches of a camera cannot be permuted.
@@ -156,17 +159,16 @@ def _exceeds_chance(
     permuted = [index for index in indices if len(index) > 2]
     if sum(map(len, permuted)) < MIN_MATCHES:
         return checks.has_certain_inliers
-    costs = list[float]()
-    for _ in range(MAX_STEPS):
+    for _ in range(2 * N_PERMUTED_FITS):
         y = stack.y.copy()
         for index in permuted:
             y[index] = y[rng.permutation(index)]
         # A search that finds no motion at all shows nothing.
-        cost = float(draw_and_fit(stack._replace(y=y), usable, starts, rng).minima.costs.min())
-        costs += [cost] if cost < np.inf else []
+        permuted_cost = float(draw_and_fit(stack._replace(y=y), usable, starts, rng).minima.costs.min())
+        costs += [permuted_cost] if permuted_cost < np.inf else []
         if len(costs) == N_PERMUTED_FITS:
-            return float(result.minima.costs.min()) < CHANCE_LIKELIHOOD_FACTOR * min(*costs, 0.0)
-    return checks.has_certain_inliers
+            break
+    return cost < CHANCE_LIKELIHOOD_FACTOR * min(*costs, 0.0) if costs else checks.has_certain_inliers
 
 
 def _is_all_static(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
@@ -487,6 +489,7 @@ def warm_up() -> None:
     motion_mixture.divide_inliers(stack, fit)
     motion_mixture.compute_cost(stack, usable > 0, motion_mixture.compute_motion_density(stack, fit))
     is_flat(stack, fit)
+    fit_edge_on(stack, usable, make_empty_irls_fit(stack), False)
     uncertainty.compute_size_if_curved(fit, 0.1)
     uncertainty.minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
 
