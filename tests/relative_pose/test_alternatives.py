@@ -78,6 +78,13 @@ def test_weakly_observed_motion_is_not_overconfident(kind: str, number: int) -> 
     assert not compare_with_truth(problem, solve(problem)).wrong
 
 
+def test_axes_of_pixels_explain_more_than_removed_cameras() -> None:
+    """Three of eight cameras would be removed, as two kinds of axes reduce the contradiction."""
+    motion = solve(make_problem("x to the left", 9917))
+    assert motion.status is Status.NOT_CONSISTENT
+    assert "to the left" in motion.faults[0]
+
+
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.03, -0.05), (0.6, -0.5)])
 def test_planes_are_triangulated_exactly(slopes: tuple[float, float]) -> None:
     stack, found = fit_from_truth("two cameras", 1)

@@ -9,7 +9,9 @@ import pytest
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.relative_pose.affine_ransac import SEED_THRESHOLD_PX
-from sylpose.relative_pose.irls import MAX_SIGMA_GROWTH, IrlsFit
+from sylpose.relative_pose.irls import MAX_SIGMA_GROWTH, IrlsFit, make_irls_start, run_irls
+from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
+from sylpose.relative_pose.planes import fit_edge_on, is_flat
 from sylpose.relative_pose.robust_fit import draw_and_fit
 from sylpose.relative_pose.terms import Stack, locate_object, stack_initial_motions, stack_terms
 from sylpose.rig import Rig
@@ -75,6 +77,21 @@ def test_inliers_are_correct(kind: str, share: float) -> None:
     assert np.mean(kept) > 0.98
     # A second motion with nearly half of a camera's matches raises that camera's noise.
     assert np.mean(caught) > (0.95 if kind == "second_motion" else 0.98)
+
+
+def test_steep_planes_count_in_the_search_only_if_the_object_is_flat() -> None:
+    """Otherwise they explain some matches of a second body."""
+    rig, gains = make_zigzag_rig(4), []
+    for seed in (1, 2):
+        _, stack, _ = make_scene(seed, rig, 8.0, per_camera=100, outliers=0.4, outlier_kind="second_motion")
+        usable, found = np.ones(len(stack.x)), fit_stack(stack).fit
+        prior = found.candidate._replace(depth_model=stack.depth_model_mean)
+        plain, strict, free = (make_irls_start(stack, prior, found.sigma_px) for _ in range(3))
+        _, _, cost = run_irls(stack, usable, plain, SIGMA_FLOOR_PX)
+        assert fit_edge_on(stack, usable, strict, True)[2] == cost
+        assert not is_flat(stack, strict)
+        gains.append(cost - fit_edge_on(stack, usable, free, False)[2])
+    assert min(gains) > 0.01
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
