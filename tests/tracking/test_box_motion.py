@@ -191,7 +191,7 @@ def test_object_that_left_only_background_does_not_rest() -> None:
 
 def test_pose_from_guessed_depths_has_its_covariance() -> None:
     """An arm before the object, in boxes of two cameras: before any depth is known the arm's motion fits as well."""
-    take = draw("arm-across", 68)
+    take = draw("arm-across", 93)
     poses = [one.pose for one in track(list(islice(take.frames(), 4)), take.calibration, take.boxes, workers=1)]
     (truth, *_) = take.true_poses()
     errors, _ = compute_errors(take, poses, truth)
