@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.absolute_pose.pose_kernels import MIN_INLIER_RATIO, Assessment, Pose, assess_pose, is_by_chance
-from sylpose.absolute_pose.pose_search import Search, search_poses
+from sylpose.absolute_pose.pose_sampling import Search, search_poses
 from sylpose.absolute_pose.views import MIN_MATCHES, CameraArrays, Views, select_matches
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information, rotvec

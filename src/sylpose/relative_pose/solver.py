@@ -146,7 +146,7 @@ def _exceeds_chance(
     """Return whether the matches agree with the fit better than mismatches would.
 
     If the number of inliers is no certain evidence, because they are few or a minority, the likelihood is compared with
-    that of fits to permuted matches, of which any is chance. Searches without a result are repeated, as often at most.
+    that of fits to permuted matches, of which any is chance. If searches find no motion, up to as many more are made.
     """
     stack, usable = problem.stack, problem.usable
     cost, costs = float(result.minima.costs.min()), list[float]()
