@@ -20,17 +20,17 @@ from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, ring
 from sylpose.status import FrameStatus
-from sylpose.tracking.camera_side.camera import CameraTracker
-from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.context import Context, Frame, LocalExecutor
-from sylpose.tracking.first_motion import (
+from sylpose.tracking.box_motion import (
     OUTSIDE_REASON,
-    FirstMotion,
     _is_at_edges,
     bound_pose,
     is_box_center_static,
     select_static_matches,
 )
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
+from sylpose.tracking.context import Context, Frame, LocalExecutor
+from sylpose.tracking.first_motion import FirstMotion
 from sylpose.tracking.joint_side.joint_state import JointState, KnownFrames, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.tracker import track
@@ -273,3 +273,15 @@ def test_resting_object_is_tracked_in_fading_light() -> None:
     ]
     found = list(track(fading, clip.rig, clip.boxes))
     assert statuses(found)[1:] == [FrameStatus.TRACKED] * 3
+
+
+@pytest.mark.parametrize("seed", [76, 81, 90])
+def test_arm_before_the_object_is_not_tracked_instead(seed: int) -> None:
+    """It has more matches in the boxes than the object, and begins to move with it; the object is at their centers."""
+    take = draw("arm-across", seed)
+    poses = [one.pose for one in track(list(islice(take.frames(), 4)), take.calibration, take.boxes, workers=1)]
+    (truth, *_) = take.true_poses()
+    errors, _ = compute_errors(take, poses, truth)
+    is_wrong = (errors[:, 0] > 3.0) & (errors[:, 2] > 5.0)
+    assert not (is_wrong & [pose.status is FrameStatus.TRACKED for pose in poses]).any()
+    assert errors[-1, 0] < 1.0

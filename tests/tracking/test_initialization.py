@@ -22,10 +22,9 @@ from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking import initialization, relocalization
-from sylpose.tracking.bodies import find_bodies, has_rival
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, compute_static_px
 from sylpose.tracking.context import Context, Frame, FrameResult, LocalExecutor
-from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion
+from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion, find_bodies, find_rivals
 from sylpose.tracking.joint_side.joint_state import JointState
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import SearchResult, find_pose
@@ -242,7 +241,23 @@ def test_common_motion_is_one_object(executor: LocalExecutor, rig: Rig) -> None:
     assert max(motion_errors(found)) < 2e-5
     assert found.n_inliers > 0.95 * sum(len(shift) for shift in moving_displacements(pairs, 0, 110))
     assert found.radius > 0.3
-    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert not find_rivals(make_context(executor, rig, 1), pairs, FIRST, found)
+
+
+def test_cameras_count_once() -> None:
+    """Tracked and matched features of one camera are not two cameras that see a motion."""
+    rig = make_rig(3)
+    pairs = make_pairs(rig, [OBJECT])
+    is_tracked = np.arange(len(pairs[0][0])) % 2 == 0
+    pairs[0] = [pairs[0][0].subset(is_tracked), pairs[0][0].subset(~is_tracked)]
+    executor = LocalExecutor(3, 1)
+    found = estimate_motion(executor, rig, pairs)
+    assert found.n_cameras == 3
+    assert found.is_significant
+    found = estimate_motion(executor, rig, [pairs[0], [], []])
+    assert found.n_cameras <= 1
+    assert not found.is_significant
+    executor.close()
 
 
 def assert_no_motion(motion: FirstMotion, cameras: int) -> None:
@@ -263,7 +278,7 @@ def test_static_scene_has_no_object(executor: LocalExecutor, rig: Rig) -> None:
     pairs = make_pairs(rig, [standing])
     found = estimate_motion(executor, rig, pairs)
     assert_no_motion(found, len(rig))
-    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert not find_rivals(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 def test_no_matches_give_no_motion(executor: LocalExecutor, rig: Rig) -> None:
@@ -324,7 +339,7 @@ def test_bodies_of_static_scene(executor: LocalExecutor, rig: Rig) -> None:
 def test_second_body_is_rival(executor: LocalExecutor, rig: Rig, count: int) -> None:
     pairs = make_pairs(rig, [OBJECT, Body(count, ELSEWHERE, OTHER)])
     found = estimate_motion(executor, rig, pairs)
-    assert has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert find_rivals(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 @pytest.mark.parametrize("more", [-1, 1])
@@ -336,14 +351,14 @@ def test_rival_threshold(executor: LocalExecutor, rig: Rig, more: int) -> None:
     assert rival.fit.status is Status.OK
     assert rival.n_inliers > 0.9 * 40 * len(rig)
     larger = replace(found, n_inliers=round(rival.n_inliers / TrackingOptions.max_rival_ratio) + more)
-    assert has_rival(make_context(executor, rig, 1), pairs, FIRST, larger) == (more < 0)
+    assert bool(find_rivals(make_context(executor, rig, 1), pairs, FIRST, larger)) == (more < 0)
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.3])
 def test_object_itself_is_not_ambiguous(executor: LocalExecutor, rig: Rig, noise_px: float) -> None:
     pairs = make_pairs(rig, [OBJECT], noise_px=noise_px)
     found = estimate_motion(executor, rig, pairs)
-    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert not find_rivals(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 def test_faulty_camera_is_no_rival() -> None:
@@ -353,7 +368,7 @@ def test_faulty_camera_is_no_rival() -> None:
     pairs[2] = make_pairs(rig, [replace(OBJECT, motion=make_motion(AT, [-0.08, 0.03, 0.07], [0.0, 0.01, 0.0]))])[2]
     executor = LocalExecutor(3, 1)
     found = estimate_motion(executor, rig, pairs)
-    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert not find_rivals(make_context(executor, rig, 1), pairs, FIRST, found)
     executor.close()
 
 

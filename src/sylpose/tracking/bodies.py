@@ -21,13 +21,12 @@ import numpy as np
 
 from sylpose.features.sift import Features, match_features, reduce_image
 from sylpose.frames import Box, FrameSet
-from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.methods import METHODS
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
-from sylpose.relative_pose.camera_evidence import TREMBLE_SD, measure_distances, pool_f_ratios
+from sylpose.relative_pose.camera_evidence import TREMBLE_SD, pool_f_ratios
 from sylpose.relative_pose.rig_hypotheses import CameraMatches, Hypothesis, compute_f_ratios
-from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Camera, Rig
 from sylpose.status import Status
@@ -42,18 +41,19 @@ from sylpose.tracking.camera_side.frame import (
     omit_empty,
     widen_outline,
 )
-from sylpose.tracking.context import Candidate, Context, Frame, LocalExecutor, is_rival
+from sylpose.tracking.context import Candidate, Context, Frame, LocalExecutor
 from sylpose.tracking.first_motion import (
     RAYLEIGH_MEDIAN,
     FirstMotion,
-    estimate_first_motion,
+    collect_indices,
+    count_rival,
     estimate_jitter,
+    find_bodies,
+    remove_inliers,
 )
 from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO
 from sylpose.tracking.options import TrackingOptions
 
-# Number of motions fitted one after another: an object, and the trunk and arms of a person (choice).
-MAX_BODIES = 4
 # Windows are searched in so many places, in long recordings in more (`select_windows`), at least so far from each other
 # (choice).
 N_WINDOWS, MIN_WINDOW_STEP = 8, 6
@@ -135,51 +135,6 @@ class Window:
     first: Frame
     bodies: Sequence[WindowBody]
     f_ratio: float = np.nan
-
-
-def find_bodies(context: Context, pairs: CameraPairs, first_number: int) -> list[FirstMotion]:
-    """Find the bodies that move between two frames.
-
-    Args:
-        pairs: per camera, local: matches with the frame of number `first_number`.
-
-    Returns:
-        the rigid motions, significant or not, by decreasing number of inliers.
-    """
-    bodies, rest = list[FirstMotion](), pairs
-    for _ in range(MAX_BODIES):
-        motion = estimate_first_motion(context, rest, first_number)
-        if motion.n_inliers < MIN_MATCHES:
-            break
-        if motion.is_rigid and not any(_is_part_of(context, motion, larger) for larger in bodies):
-            bodies.append(motion)
-        rest = _remove_inliers(rest, motion)
-    return sorted(bodies, key=lambda body: -body.n_inliers)
-
-
-def _is_part_of(context: Context, body: FirstMotion, other: FirstMotion) -> bool:
-    """Return whether another body's motion explains most matches of a body as well as its own does.
-
-    A fit to a large rotation may leave some matches of the body that it is of.
-    """
-    counts = list[tuple[int, int]]()
-    for c, own in zip(context.executor.local, body.inliers, strict=True):
-        terms = [pair.to_term(c, context.rig.cameras[c]) for pair in own]
-        distances = [
-            [measure_distances(term, its.center, its.fit.rotation, its.fit.translation) for term in terms]
-            for its in (other, body)
-        ]
-        is_nearer = [np.asarray(a <= b) for a, b in zip(*distances, strict=True)]
-        counts.append((sum(map(np.count_nonzero, is_nearer)), sum(map(len, own))))
-    n_explained, n = np.sum(context.executor.gather(counts, (0, 0)), axis=0)
-    return bool(2 * n_explained > n)
-
-
-def _remove_inliers(pairs: CameraPairs, motion: FirstMotion) -> list[list[FrameMatches]]:
-    return [
-        omit_empty(pair.subset(~np.isin(pair.indices[:, 0], _collect_indices(inliers, 0))) for pair in own)
-        for own, inliers in zip(pairs, motion.inliers, strict=True)
-    ]
 
 
 def find_candidates(
@@ -297,32 +252,6 @@ def open_search(
         executor.close()
 
 
-def has_rival(context: Context, pairs: CameraPairs, first_number: int, motion: FirstMotion) -> bool:
-    """Return whether another body moves as well between two frames.
-
-    Args:
-        pairs: per camera, local: all matches with the frame of number `first_number`.
-        motion: of the body that is tracked.
-    """
-    rest = _remove_inliers(pairs, motion)
-    others, n = find_bodies(context, rest, first_number), len(context.rig)
-    others = [body for body in others if not _is_part_of(context, body, motion)]
-    ratios = (_count_rival(context, motion, body) / motion.n_inliers for body in others)
-    return any(is_rival(ratio, n, context.options) for ratio in ratios)
-
-
-def _count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> int:
-    """Count the matches of another body in the cameras that see both; 0 if these are fewer than two.
-
-    A faulty camera has most of its matches on one side. Where the bodies are does not matter: a hand is at the object.
-    """
-    counts = [
-        np.array(context.executor.gather([sum(map(len, own)) for own in its.inliers], 0)) for its in (motion, other)
-    ]
-    is_shared = np.minimum(*counts) > MIN_OUTLIER_RATIO * (counts[0] + counts[1])
-    return int(counts[1][is_shared].sum()) if is_shared.sum() >= min(2, len(is_shared)) else 0
-
-
 def select_windows(n_frames: int) -> list[range]:
     """Select the frames of windows spread over a recording of so many frames.
 
@@ -335,11 +264,6 @@ def select_windows(n_frames: int) -> list[range]:
     n_windows = min(max(N_WINDOWS, isqrt(n_frames // 2)), N_WINDOWS**2, 1 + last // MIN_WINDOW_STEP)
     starts = np.unique(np.linspace(0, last, n_windows).round().astype(int)).tolist()
     return [range(start, min(start + WINDOW_FRAMES, n_frames)) for start in starts]
-
-
-def _collect_indices(pairs: Sequence[FrameMatches], side: int) -> IntArray:
-    """Return the feature (n,) of each match, of the earlier frame (side 0) or the later one (side 1)."""
-    return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, side] for pair in pairs)])
 
 
 def _search_window(context: SearchContext, frames: Sequence[FrameSet], gap: int) -> tuple[Window, int]:
@@ -381,7 +305,7 @@ def _search_window(context: SearchContext, frames: Sequence[FrameSet], gap: int)
             break
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
     for body in best[1:]:
-        best_pairs = _remove_inliers(best_pairs, body.motion)
+        best_pairs = remove_inliers(best_pairs, body.motion)
     window = Window(first, best, _compute_f_ratio(context, first, best[0].last, best_pairs) if best else np.nan)
     return window, max(best_gap // 2, GAPS[0]) if is_far else best_gap
 
@@ -481,7 +405,7 @@ def _measure_link(earlier: WindowBody, window: Window, body: WindowBody) -> floa
     n_matched = n_smaller = 0
     sides = zip(earlier.last.cameras, window.first.cameras, earlier.motion.inliers, body.motion.inliers, strict=True)
     for last, first, earlier_pairs, pairs in sides:
-        i, j = np.unique(_collect_indices(earlier_pairs, 1)), np.unique(_collect_indices(pairs, 0))
+        i, j = np.unique(collect_indices(earlier_pairs, 1)), np.unique(collect_indices(pairs, 0))
         n_matched += len(match_features(last.features.subset(i), first.features.subset(j)))
         n_smaller += min(len(i), len(j))
     return n_matched / max(n_smaller, 1)
@@ -493,7 +417,7 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, m
     n_shared = n_rivals = 0
     for number, body in chain.items():
         others = [other.motion for other in windows[number].bodies if other is not body]
-        n = max((_count_rival(context, body.motion, other) for other in others), default=0)
+        n = max((count_rival(context, body.motion, other) for other in others), default=0)
         n_shared, n_rivals = n_shared + (body.motion.n_inliers if n else 0), n_rivals + n
     # One that moves at other times, and that neither features nor place link with it.
     n_later = max((_count_matches(other) for other in moving if not set(chain) & set(other)), default=0)
@@ -527,11 +451,11 @@ def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowB
     Returns:
         the frame; per camera, local: its matches on the body.
     """
-    own = [_collect_indices(pairs, 1) for pairs in body.motion.inliers]
+    own = [collect_indices(pairs, 1) for pairs in body.motion.inliers]
     for window in windows[:-1]:
         for motion in find_bodies(context, _match(context, window.first, body.last), 0):
             both = zip(own, motion.inliers, strict=True)
-            n_kept = sum(len(np.intersect1d(indices, _collect_indices(pairs, 1))) for indices, pairs in both)
+            n_kept = sum(len(np.intersect1d(indices, collect_indices(pairs, 1))) for indices, pairs in both)
             if n_kept > MIN_TRACKED_RATIO * body.motion.n_inliers:
                 return window.first, motion.inliers
     return windows[-1].first, body.motion.inliers

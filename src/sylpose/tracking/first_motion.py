@@ -1,30 +1,22 @@
-"""First motion of the object: what moves against the static background, without boxes or within them.
+"""First motion: what moves as a rigid body against the static background between two frames, and other bodies that do.
 
-Until the object has moved, its surface is a guess. The first motion separates it from the background and determines the
-depths. A box contains more than the object: a person passing behind it, or a wall, is visible near the box's edges. The
-object is at the center, so motion at the center is the object's.
+No depth and no surface has to be known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import Features
-from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information, make_motion_about
-from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
 from sylpose.relative_pose.camera_evidence import (
-    EXPECTED_RATIO,
     MIN_KEPT_POOLED,
-    CameraEvidence,
     compute_f_ratio,
     measure_distances,
     measure_excess,
@@ -37,27 +29,20 @@ from sylpose.relative_pose.solver import Division, fit_terms, fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, Solution, TermData, locate_object, make_failed_fit
 from sylpose.rig import Camera
 from sylpose.status import FrameStatus, Status
-from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
-    CameraFrame,
     CameraPairs,
     FrameMatches,
     Pairs,
-    Region,
-    collect_features,
     find_static,
-    mark_others_as_background,
-    measure_displacement,
     omit_empty,
     select_inliers,
     triangulate,
 )
-from sylpose.tracking.context import Context, Frame
+from sylpose.tracking.context import Context, is_rival
 from sylpose.tracking.frame_solvers import scatter_fit
-from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion, PoseEstimate, bound_information
-from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
+from sylpose.tracking.joint_side.joint_state import PoseEstimate, bound_information
 from sylpose.tracking.options import TrackingOptions
-from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
+from sylpose.tracking.reports import InitialMatches, MovingMatches
 
 # Keypoints displaced by less than the first value, pixels, may be static. They define the noise if more than the second one,
 # a share of them, is displaced by less than half of it (choice).
@@ -69,18 +54,11 @@ MOTION_UNKNOWNS, SURFACE_UNKNOWNS = 6, 6
 # Between consecutive frames, the rotation since the first frame changes by at most this share, or this angle, radians
 # (choice).
 MAX_ROTATION_CHANGE_RATIO, MAX_ROTATION_CHANGE = 0.6, np.radians(0.75)
-# The center of a box is this share of its width and height (choice).
-CENTER_RATIO = 0.5
-# The center is static if its displacement is within the noise and below this share of that of moving features, both
-# medians (choice: a body rotating about itself moves its center by about a third).
-MAX_CENTER_MOTION_RATIO = 0.15
+# Number of motions fitted one after another: an object, and the trunk and arms of a person (choice).
+MAX_BODIES = 4
 # Matches of one body have common affine epipolar lines, within so many pixels (choice: sensitivity in
 # docs/history/benchmarks.md#trust).
 MAX_GROUP_DISTANCE_PX = 0.5
-
-
-# Reason for an ambiguous object in boxes.
-OUTSIDE_REASON = "most of what moves like the content of the boxes is outside of them: another body, or too small boxes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,6 +212,8 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
     inlier_center, radius = locate_object([term for term, _ in inliers]) if inliers else (np.full(3, np.nan), np.nan)
     displacement = np.concatenate([np.empty(0), *(shift for _, shift in inliers)])
     min_cameras = min(2, len(rig))
+    cameras = np.array([report.term.camera for report in reports])
+    n_rigid, n_detecting = (len(np.unique(cameras[mask])) for mask in (is_rigid, detects_motion))
     return FirstMotion(
         fit=fit,
         center=center,
@@ -241,9 +221,9 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
         radius=radius,
         n_inliers=len(displacement),
         displacement_px=float(np.median(displacement)) if len(displacement) else np.nan,
-        n_cameras=int(detects_motion.sum()),
-        is_rigid=int(is_rigid.sum()) >= min_cameras,
-        is_significant=int(detects_motion.sum()) >= min_cameras,
+        n_cameras=n_detecting,
+        is_rigid=n_rigid >= min_cameras,
+        is_significant=n_detecting >= min_cameras,
         is_observable=fit.status is Status.OK and classify_observability(fit, radius)[0].status is Status.OK,
         moving=by_camera,
         failure_status=failure_status,
@@ -404,131 +384,86 @@ def _test_significance(
     return is_rigid, is_rigid & is_displaced
 
 
-# --- depth and background from the first motion -----------------------------------------------------------------------
+# --- bodies that move between two frames ------------------------------------------------------------------------------
 
 
-def update_from_matches(
-    context: Context, state: JointState, frame: Frame, pairs: CameraPairs
-) -> tuple[JointState, RigidTransform | None, CameraPairs]:
-    """Update depth and motion from a frame's matches (`JointState.needs_first_motion`).
+def find_bodies(context: Context, pairs: CameraPairs, first_number: int) -> list[FirstMotion]:
+    """Find the bodies that move between two frames.
 
     Args:
-        frame: not solved yet.
-        pairs: per camera, local: its matches.
+        pairs: per camera, local: matches with the frame of number `first_number`.
 
     Returns:
-        the state; the pose estimated from the matches, or None; per camera, local: the remaining matches, with frames
-        that are still known and without background.
+        the rigid motions, significant or not, by decreasing number of inliers.
     """
-    was_guessed = state.object.is_depth_guessed
-    state, initial_motion = _update_depth(context, state, frame, pairs)
-    known_frames = state.frames.by_number
-    remaining = [
-        [pair.subset(~current.background[pair.indices[:, 1]]) for pair in own if pair.reference in known_frames]
-        for current, own in zip(frame.cameras, pairs, strict=True)
+    bodies, rest = list[FirstMotion](), pairs
+    for _ in range(MAX_BODIES):
+        motion = estimate_first_motion(context, rest, first_number)
+        if motion.n_inliers < MIN_MATCHES:
+            break
+        if motion.is_rigid and not any(_is_part_of(context, motion, larger) for larger in bodies):
+            bodies.append(motion)
+        rest = remove_inliers(rest, motion)
+    return sorted(bodies, key=lambda body: -body.n_inliers)
+
+
+def _is_part_of(context: Context, body: FirstMotion, other: FirstMotion) -> bool:
+    """Return whether another body's motion explains most matches of a body as well as its own does.
+
+    A fit to a large rotation may leave some matches of the body that it is of.
+    """
+    counts = list[tuple[int, int]]()
+    for c, own in zip(context.executor.local, body.inliers, strict=True):
+        terms = [pair.to_term(c, context.rig.cameras[c]) for pair in own]
+        distances = [
+            [measure_distances(term, its.center, its.fit.rotation, its.fit.translation) for term in terms]
+            for its in (other, body)
+        ]
+        is_nearer = [np.asarray(a <= b) for a, b in zip(*distances, strict=True)]
+        counts.append((sum(map(np.count_nonzero, is_nearer)), sum(map(len, own))))
+    n_explained, n = np.sum(context.executor.gather(counts, (0, 0)), axis=0)
+    return bool(2 * n_explained > n)
+
+
+def remove_inliers(pairs: CameraPairs, motion: FirstMotion) -> list[list[FrameMatches]]:
+    """Remove the inliers of a motion from matches; per camera, local."""
+    return [
+        omit_empty(pair.subset(~np.isin(pair.indices[:, 0], collect_indices(inliers, 0))) for pair in own)
+        for own, inliers in zip(pairs, motion.inliers, strict=True)
     ]
-    if initial_motion is None:
-        return state, None, remaining
-    pose = initial_motion.motion * state.frames.first.world_from_object
-    is_depth_new = was_guessed and not state.object.is_depth_guessed
-    if state.motion.velocity.n_frames and not is_depth_new:
-        return state, pose, remaining
-    # The first motion that determines depth also separates the background: whatever does not take part, however much of
-    # the boxes it fills. Static features near points where the object barely moves may agree with it, so only moving
-    # features are kept. Other methods need every match.
-    if not context.refines_window:
-        return state, pose, context.drop_static_matches(state, frame, remaining, pose)
-    if state.object.is_bounded:
-        # New features in the boxes may be background: the next frames decide.
-        for inliers, current in zip(initial_motion.inliers, frame.cameras, strict=True):
-            mark_others_as_background(inliers, current)
-    return state, pose, initial_motion.inliers
 
 
-def _update_depth(
-    context: Context, state: JointState, frame: Frame, pairs: CameraPairs
-) -> tuple[JointState, FirstMotion | None]:
-    """Replace depths guessed from boxes by those of a motion since the first frame.
+def collect_indices(pairs: Sequence[FrameMatches], side: int) -> IntArray:
+    """Return the feature (n,) of each match, of the earlier frame (side 0) or the later one (side 1)."""
+    return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, side] for pair in pairs)])
 
-    Boxes allow far more depth than the object has. Epipolar geometry needs no depth: its motion determines the surface,
-    and the landmarks are reinitialized with it.
+
+def find_rivals(context: Context, pairs: CameraPairs, first_number: int, motion: FirstMotion) -> list[FirstMotion]:
+    """Find other bodies that move as well between two frames and may be the object, too.
 
     Args:
-        frame: not solved yet; background is marked in it.
-        pairs: per camera, local: its matches.
-
-    Returns:
-        the state; the motion, or None. If depth is already known, only the motion is estimated.
+        pairs: per camera, local: all matches with the frame of number `first_number`.
+        motion: of the body with the most matches.
     """
-    first = state.frames.first
-    initial_motion = estimate_first_motion(context, pairs, first.number)
-    if state.object.is_depth_guessed:
-        known = bound_pose(context, state, initial_motion.measure_displacement(first.world_from_object.translation))
-        state = replace(state, motion=replace(state.motion, independent_pose=known))
-    # Something may pass by behind the object.
-    is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
-    is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
-    if not initial_motion.is_rigid or is_unclear or is_far:
-        return state, None
-    if state.object.is_depth_guessed and (
-        initial_motion.compute_f_ratio() > context.options.max_pooled_f_ratio
-        or _is_at_edges(context, state, pairs, initial_motion)
-    ):
-        return state, None  # all later frames would build on it
-    accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
-    is_observable = classify_observability(initial_motion.fit, state.object.radius)[0].status in accepted_statuses
-    if is_observable and state.object.is_depth_guessed:
-        known = initial_motion.estimate_pose(first.world_from_object, state.object.radius)
-        state = replace(state, motion=replace(state.motion, independent_pose=known))
-    if not initial_motion.is_significant:
-        return state, None
-    radius, current_pose = initial_motion.radius, initial_motion.motion * first.world_from_object
-    motion = KnownMotion({first.number: first.world_from_object}, current_pose, radius)
-    for camera, current, own in zip(context.cameras, frame.cameras, pairs, strict=True):
-        # Boxes may contain more background than object.
-        with_first = [pair for pair in own if pair.reference == first.number]
-        camera.learn_background(with_first, current, motion)
-    if not is_observable:
-        return state, None
-    # With two cameras a planar object has a second solution, which differs in each frame.
-    if initial_motion.n_cameras == 2 and not is_continuing_motion(state.motion.first_motion, initial_motion.motion):
-        return replace(state, motion=replace(state.motion, first_motion=initial_motion.motion)), None
-    if not state.object.is_depth_guessed:
-        return state, initial_motion
-    points = [
-        quantize_positions(triangulate_inliers(camera.camera, inliers, first.world_from_object, current_pose), radius)
-        for camera, inliers in zip(context.cameras, initial_motion.inliers, strict=True)
+    rest, n = remove_inliers(pairs, motion), len(context.rig)
+    others = [body for body in find_bodies(context, rest, first_number) if not _is_part_of(context, body, motion)]
+    ratios = [count_rival(context, motion, body) / motion.n_inliers for body in others]
+    return [body for body, ratio in zip(others, ratios, strict=True) if is_rival(ratio, n, context.options)]
+
+
+def count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> int:
+    """Count the matches of another body in the cameras that see both; 0 if these are fewer than two.
+
+    A faulty camera has most of its matches on one side. Where the bodies are does not matter: a hand is at the object.
+    """
+    counts = [
+        np.array(context.executor.gather([sum(map(len, own)) for own in its.inliers], 0)) for its in (motion, other)
     ]
-    surface = np.concatenate(context.executor.gather(points, np.empty((0, 3))))
-    if len(surface) < MIN_SURFACE_POINTS:
-        return state, initial_motion
-    state = state.reset_to_first_frame(radius)
-    for camera in context.cameras:
-        model = replace(state.object, points=surface)
-        camera.table.update(camera.reinitialize_landmarks(state.frames.first, camera.camera, model))
-    return state, initial_motion
+    is_shared = np.minimum(*counts) > MIN_OUTLIER_RATIO * (counts[0] + counts[1])
+    return int(counts[1][is_shared].sum()) if is_shared.sum() >= min(2, len(is_shared)) else 0
 
 
-def bound_pose(context: Context, state: JointState, displacement: float = 0.0) -> PoseEstimate:
-    """Bound an object's pose by the displacement of its surface since the first frame, of unknown direction.
-
-    The displacement is seen across the cameras' views. A bottle that turns about its axis moves its surface little: the
-    rotation that moves it so far is large.
-
-    Args:
-        displacement: length units; the smallest one that is detected, if it is less; NaN if unknown: the object's radius.
-    """
-    pose, model = state.frames.first.world_from_object, state.object
-    offsets = np.array([pose.translation - camera.center for camera in context.rig])
-    distances = np.linalg.norm(offsets, axis=1)
-    least = STATIC_PX * float(np.median(distances / [camera.focal for camera in context.rig]))
-    size = model.radius if np.isnan(displacement) else max(displacement, least)
-    views = offsets / distances[:, None]
-    across = np.eye(3) - views.T @ views / len(views)
-    points = pose.rotation.apply(model.points) if len(model.points) else np.zeros((1, 3))
-    jacobian = np.concatenate([-np.cross(np.eye(3), points[:, None]), np.tile(np.eye(3), (len(points), 1, 1))], axis=2)
-    information = np.einsum("nki,kl,nlj->ij", jacobian, across, jacobian) / (len(points) * size**2)
-    return PoseEstimate(pose, invert_information(information + bound_information(model.radius)))
+# --- positions --------------------------------------------------------------------------------------------------------
 
 
 def estimate_first_points(
@@ -553,150 +488,3 @@ def triangulate_inliers(
     """Triangulate a camera's inliers on the object, (m, 3). See `frame.triangulate`."""
     points = [triangulate(pair, camera, first_pose, current_pose) for pair in inliers]
     return np.concatenate([np.empty((0, 3)), *points])
-
-
-# --- motion in boxes --------------------------------------------------------------------------------------------------
-
-
-def is_box_center_static(context: Context, state: JointState, frame: Frame, pairs: CameraPairs) -> bool:
-    """Return whether something moves in the boxes but not at their centers, in most cameras.
-
-    Args:
-        pairs: per camera, local: the frame's matches.
-    """
-    points = state.frames.first.world_from_object.apply(state.object.points)
-    own_reports = [
-        _report_box_motion(camera.camera, points, own, current.static_px)
-        for camera, own, current in zip(context.cameras, pairs, frame.cameras, strict=True)
-    ]
-    reports = context.executor.gather(own_reports, BoxMotionReport())
-    displacements = [report.moving_displacement_px for report in reports if report.n_moving >= MIN_MATCHES]
-    usable = [report for report in reports if report.n_center >= MIN_MATCHES]
-    max_displacement = MAX_CENTER_MOTION_RATIO * float(np.median(displacements)) if displacements else 0.0
-    return 2 * sum(
-        report.is_center_static and report.center_displacement_px < max_displacement for report in usable
-    ) > len(usable)
-
-
-def _report_box_motion(camera: Camera, points: FloatArray, pairs: Pairs, static_px: float) -> BoxMotionReport:
-    """Report the motion in one camera's box.
-
-    Args:
-        points: (n, 3) points on the object, world.
-        static_px: smaller displacements are within the noise, pixels.
-    """
-    outline = camera.project(points)
-    outline = outline[np.isfinite(outline).all(axis=1)]
-    if not len(outline) or not pairs:
-        return BoxMotionReport()
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    landmarks = Landmarks.concatenate([pair.landmarks for pair in pairs])
-    displacement = measure_displacement(landmarks, np.concatenate([pair.pixels_j for pair in pairs]))
-    offset = np.abs(landmarks.origin - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
-    is_center, is_moving = (offset < CENTER_RATIO).all(axis=1), displacement > static_px
-    feature = collect_features(pairs)
-    counts = [len(np.unique(feature[some])) for some in (is_center, is_moving)]
-    pixels = [float(np.median(displacement[some])) if some.any() else np.nan for some in (is_center, is_moving)]
-    return BoxMotionReport(counts[0], pixels[0], pixels[0] <= static_px, counts[1], pixels[1])
-
-
-def _is_at_edges(context: Context, state: JointState, pairs: CameraPairs, motion: FirstMotion) -> bool:
-    """Return whether a motion since the first frame is that of something at the edges of the boxes.
-
-    Its matches are at the centers less often than if they were spread evenly, by three standard deviations, and less often
-    than those of what does not follow it: the object, which moves slowly before a person.
-
-    Args:
-        pairs: per camera, local: the matches.
-    """
-    first = state.frames.first
-    regions = context.project_regions(state, first.world_from_object)
-    sides = zip(context.cameras, regions, pairs, motion.inliers, strict=True)
-    own_counts = [_count_central(camera, region, first.number, own, inliers) for camera, region, own, inliers in sides]
-    counts = np.array(context.executor.gather(own_counts, (0, 0, 0, 0))).sum(axis=0)
-    (n, n_central), (n_others, n_central_others) = counts[:2], counts[2:]
-    share = CENTER_RATIO**2
-    least = share * n - 3.0 * np.sqrt(share * (1.0 - share) * n)
-    return bool(n_central < least and n_central * n_others < n_central_others * n)
-
-
-def _count_central(
-    camera: CameraTracker, region: Region, first_number: int, pairs: Pairs, inliers: Pairs
-) -> tuple[int, int, int, int]:
-    """Count the matched features of the first frame that follow a motion, and the others: all, and those at the center."""
-    if region is None or first_number not in camera.frames:
-        return 0, 0, 0, 0
-    features = camera.frames[first_number].features
-    is_matched, is_following = np.zeros((2, len(features)), bool)
-    for mask, parts in ((is_matched, pairs), (is_following, inliers)):
-        for pair in parts:
-            if pair.reference == first_number:
-                mask[pair.indices[:, 0]] = True
-    is_central, is_other = camera.find_inside(features, _shrink(region)), is_matched & ~is_following
-    both = (is_following, is_following & is_central, is_other, is_other & is_central)
-    counts = [int(np.count_nonzero(mask)) for mask in both]
-    return counts[0], counts[1], counts[2], counts[3]
-
-
-def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: RigidTransform) -> bool:
-    """Return whether most of what follows the first motion was outside of the boxes: in all and in most cameras.
-
-    Boxes hold the whole object: a body that fills them and continues outside is another one, as a person behind an object
-    without texture. The epipolar geometry of the motion needs no depths. If the cameras' own motions agree inside, and
-    contradict it outside, another body moves alike.
-
-    Args:
-        frame: in which the object has moved.
-        pose: its world_from_object.
-    """
-    compare = partial(CameraTracker.compare_surroundings, images=frame.images, first=state.frames.first, pose=pose)
-    nothing = 0.0, CameraEvidence(), 0.0, CameraEvidence()
-    sides = context.executor.gather(context.executor.run(compare, context.cameras), nothing)
-    counts = np.array([(inside, outside) for inside, _, outside, _ in sides])
-    inside, outside = np.maximum(counts, 0.0).T
-    # Three standard deviations of what a coin decides: too few matches may be another body that moves alike.
-    is_significant = (outside - inside).sum() > 3.0 * np.sqrt((outside + inside).sum())
-    if not is_significant or 2 * np.sum(outside > inside) <= np.sum(np.maximum(inside, outside) > 0.0):
-        return False
-    excess = np.array([(of_inside.excess, of_outside.excess) for _, of_inside, _, of_outside in sides]).T
-    of_inside, of_outside = (compute_f_ratio(np.ascontiguousarray(own), MIN_KEPT_POOLED) for own in excess)
-    return not (of_inside < EXPECTED_RATIO and of_outside > context.options.max_f_ratio)
-
-
-def is_replaced(context: Context, state: JointState, frame: Frame) -> bool:
-    """Return whether the images show something else at the centers of the boxes than in the first frame.
-
-    At least two cameras have to, if there are: something may pass in front of one. It is evidence of a motion without any
-    match: what moves fast, or behind a static pattern, leaves only static ones.
-    """
-    regions = context.project_regions(state, state.frames.first.world_from_object)
-    count = partial(CameraTracker.count_replaced, images=frame.images, first=state.frames.first)
-    own_counts = context.executor.run(count, context.cameras, list(map(_shrink, regions)))
-    total, replaced = np.array(context.executor.gather(own_counts, (0, 0))).T
-    is_other = replaced > MISMATCH_PROBABILITY * total
-    return bool(replaced.sum() >= MIN_MATCHES and is_other.sum() >= min(2, len(context.rig)))
-
-
-def count_center_features(camera: CameraTracker, features: Features, region: Region) -> int:
-    """Count a camera's features in the center of the object's region."""
-    return 0 if region is None else int(camera.find_inside(features, _shrink(region)).sum())
-
-
-def _shrink(region: Region) -> Region:
-    """Return the center of an object's region."""
-    if region is None:
-        return None
-    middle = region.mean(axis=0)
-    return np.asarray(middle + CENTER_RATIO * (region - middle))
-
-
-def select_static_matches(frame: Frame, pairs: CameraPairs) -> CameraPairs:
-    """Select matches of features that have not moved since they were first observed; per camera, local."""
-    return [
-        omit_empty(pair.subset(_is_static(pair, current)) for pair in own)
-        for own, current in zip(pairs, frame.cameras, strict=True)
-    ]
-
-
-def _is_static(pair: FrameMatches, current: CameraFrame) -> BoolArray:
-    return np.asarray(measure_displacement(pair.landmarks, pair.pixels_j) <= current.static_px)

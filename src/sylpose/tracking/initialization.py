@@ -17,7 +17,7 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.status import FrameStatus
-from sylpose.tracking.bodies import has_rival
+from sylpose.tracking.box_motion import count_center_features
 from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
@@ -32,10 +32,10 @@ from sylpose.tracking.camera_side.frame import (
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
 from sylpose.tracking.first_motion import (
     FirstMotion,
-    count_center_features,
     estimate_first_motion,
     estimate_first_points,
     estimate_jitter,
+    find_rivals,
     is_continuing_motion,
 )
 from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel
@@ -213,7 +213,7 @@ def _initialize_from_motion(
     end_pose = first_motion.motion * first_pose
     candidate = context.candidate
     is_ambiguous = (
-        has_rival(context, pairs, first.number, first_motion)
+        bool(find_rivals(context, pairs, first.number, first_motion))
         if candidate is None
         else candidate.is_ambiguous(context.options)
     )

@@ -25,10 +25,10 @@ from sylpose.relative_pose.limits import MOST
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability
+from sylpose.tracking.box_motion import OUTSIDE_REASON, bound_pose, is_mostly_outside
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
 from sylpose.tracking.camera_side.frame import ReobservedFeatures, compute_full_weight_age, record_observations
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
-from sylpose.tracking.first_motion import OUTSIDE_REASON, bound_pose, is_mostly_outside
 from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD
 from sylpose.tracking.joint_side.joint_state import (
     Anchor,

@@ -26,6 +26,7 @@ from sylpose.relative_pose.motion_mixture import MIN_MOVING_MATCHES
 from sylpose.relative_pose.observability import SELECTED_PER_UNKNOWN
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
+from sylpose.tracking.box_motion import is_box_center_static, is_replaced, select_static_matches, update_from_matches
 from sylpose.tracking.camera_side.camera import (
     CameraSolution,
     CameraTracker,
@@ -45,7 +46,6 @@ from sylpose.tracking.camera_side.frame import (
     omit_empty,
 )
 from sylpose.tracking.context import Context, Frame
-from sylpose.tracking.first_motion import is_box_center_static, is_replaced, select_static_matches, update_from_matches
 from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD, SOLVERS, PoseProblem, PoseSolution
 from sylpose.tracking.joint_side.joint_state import (
     PREPARATION_MARGIN,
