@@ -2,7 +2,7 @@
 
 Until the object has moved, its surface is a guess. The first motion separates it from the background and determines the
 depths. A box contains more than the object: a person passing behind it, a wall, or an arm before it. The object is at the
-center, so of several bodies that move it is the one nearest to the center.
+center, so of several bodies that move it is the one with the most matches near the center.
 """
 
 from __future__ import annotations
@@ -130,7 +130,10 @@ def _update_depth(
         return state, None  # all later frames would build on it
     accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     is_observable = classify_observability(initial_motion.fit, state.object.radius)[0].status in accepted_statuses
-    if is_observable and state.object.is_depth_guessed:
+    # With two cameras another motion may fit as well, of a planar object or of two bodies. It differs in each frame.
+    earlier = state.motion.first_motion
+    is_confirmed = initial_motion.n_cameras != 2 or is_continuing_motion(earlier, initial_motion.motion)
+    if is_observable and is_confirmed and state.object.is_depth_guessed:
         known = initial_motion.estimate_pose(first.world_from_object, state.object.radius)
         state = replace(state, motion=replace(state.motion, independent_pose=known))
     if not initial_motion.is_significant:
@@ -143,8 +146,7 @@ def _update_depth(
         camera.learn_background(with_first, current, motion)
     if not is_observable:
         return state, None
-    # With two cameras a planar object has a second solution, which differs in each frame.
-    if initial_motion.n_cameras == 2 and not is_continuing_motion(state.motion.first_motion, initial_motion.motion):
+    if not is_confirmed:
         return replace(state, motion=replace(state.motion, first_motion=initial_motion.motion)), None
     if not state.object.is_depth_guessed:
         return state, initial_motion
@@ -167,10 +169,11 @@ def _update_depth(
 def _select_central(
     context: Context, state: JointState, pairs: CameraPairs, motion: FirstMotion
 ) -> tuple[FirstMotion, bool]:
-    """Select the motion of the body nearest to the centers of the boxes; return it, and whether it is ambiguous.
+    """Select the motion of the body that is the object; return it, and whether it is ambiguous.
 
-    An arm before the object has more matches; a hand that holds it may be nearer to the center. If the nearest body is not
-    the one with the most matches, which one is the object is the user's knowledge.
+    Its matches are densest about the centers of the boxes, by their number and its squared distance: an arm before the
+    object may have more, a hand that holds it may be nearer. If it is not the one with the most, which one is the object is
+    the user's knowledge.
 
     Args:
         pairs: per camera, local: the matches.
@@ -180,8 +183,9 @@ def _select_central(
         return motion, False
     center, first = state.frames.first.world_from_object.translation, state.frames.first.number
     rigid = [body for body in (motion, *find_rivals(context, pairs, first, motion)) if body.is_rigid]
-    nearest = min(rigid, key=lambda body: float(np.linalg.norm(body.inlier_center - center)), default=motion)
-    return nearest, nearest is not motion
+    areas = [float(((body.inlier_center - center) ** 2).sum()) / body.n_inliers for body in rigid]
+    selected = rigid[int(np.argmin(areas))] if rigid else motion
+    return selected, selected is not motion
 
 
 def bound_pose(context: Context, state: JointState, displacement: float = 0.0) -> PoseEstimate:
