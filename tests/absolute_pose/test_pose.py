@@ -263,6 +263,39 @@ def test_outliers_do_not_matter(
     assert np.max(errors, axis=0)[0] < 5 * degrees
 
 
+def alias_scene(seed: int, noise_px: float, is_region: bool) -> Scene:
+    """Return matches of which a quarter agree with the truth and the others have random pixels.
+
+    Those that agree are a region of the model, as of a partly visible object, or spread among the others, as the corners of
+    an object that looks alike from its other side.
+    """
+    scene = scene_of(rig_of(3), seed, noise_px=0.0)
+    rng = np.random.default_rng(seed)
+    for c, points in enumerate(scene.points):
+        order = np.argsort(points @ rng.standard_normal(3)) if is_region else rng.permutation(len(points))
+        bad, image = order[len(points) // 4 :], scene.pixels[c]
+        image += noise_px * rng.standard_normal(image.shape)
+        image[bad] = rng.uniform(image.min(axis=0), image.max(axis=0), (len(bad), 2))
+        scene.wrong[c][bad] = True
+    return scene
+
+
+def test_alias_is_not_a_pose() -> None:
+    """Few inexact inliers among matches that disagree are no pose, although random matches never reach their number."""
+    statuses = [solve(alias_scene(seed, 2.0, False)).status for seed in range(30)]
+    assert Status.OK not in statuses
+
+
+@pytest.mark.parametrize(("noise_px", "is_region"), [(0.5, False), (1.0, True)])
+def test_minority_of_right_matches_is_a_pose(noise_px: float, is_region: bool) -> None:
+    """Inliers that are exact among random matches, or nearly all matches of a region, give the pose."""
+    found = [(scene, solve(scene)) for scene in (alias_scene(seed, noise_px, is_region) for seed in range(30))]
+    right = [
+        scene for scene, motion in found if motion.status is Status.OK and degrees_mm(scene.error(motion))[0] < 3.0
+    ]
+    assert len(right) >= 28
+
+
 @pytest.mark.parametrize(
     ("cameras", "per_camera", "options"),
     [

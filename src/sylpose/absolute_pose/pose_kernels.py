@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.absolute_pose.views import MIN_MATCHES, Selection, Views
+from sylpose.absolute_pose.views import MAX_SEARCH_MATCHES, MIN_MATCHES, Selection, Views
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import compute_covariance
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, UNOBSERVABLE_ROTATION_SD, add_rotated
@@ -32,7 +32,8 @@ from sylpose.geometry.robust_loss import (
     biquartic_noise_response,
 )
 
-# A pose is due to chance if random matches give one as good with a higher expected number (choice).
+# A pose is due to chance if random matches give one as good with a higher expected number, and so is one of a minority of
+# the matches if its inliers are mismatches with higher odds (choice).
 MAX_FALSE_ALARMS = 0.01
 # Degrees of freedom of the noise prior. Default noise: four matches, which leave two, may agree far better than they
 # were measured. Given noise: known to an eighth of its size (choice).
@@ -40,7 +41,8 @@ DEFAULT_NOISE_FREEDOM, KNOWN_NOISE_FREEDOM = 2.0, 30.0
 # Odds from which the better of two similar poses is accepted (measured: of flat models of 4 to 20 points with one
 # camera and status OK, 1 in 250 is the mirror image; with odds of 3, 1 in 20) (choice).
 CLEAR_ODDS = 20.0
-# A camera supports a pose if this fraction of its matches are inliers (choice: a majority).
+# A camera supports a pose if this fraction of its matches are inliers; no more of all are a minority (choice:
+# a majority).
 MIN_INLIER_RATIO = 0.5
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
 CUTOFF = 5.0
@@ -172,17 +174,23 @@ def compute_squares(views: Views, pose: ModelPose, out: FloatArray, workspace: W
 
 
 @leaf
+def _compute_radius(views: Views) -> float:
+    """Return the rms distance of the model points from the model's center."""
+    square = 0.0
+    for k in range(len(views.points)):
+        for i in range(3):
+            square += views.points[k, i] ** 2
+    return float(np.sqrt(square / len(views.points)))
+
+
+@leaf
 def _compute_chance(views: Views, translation: FloatArray, weights: FloatArray, noise: Noise) -> tuple[int, float]:
     """Return the number of inliers and the sum of the logarithms of a random match's probability of being one.
 
     Inliers are the matches with weights (n,). The probability is the fraction of the object's image that a circle of
     `CUTOFF` sigma covers.
     """
-    square, n_inliers, log_share = 0.0, 0, 0.0
-    for k in range(len(views.points)):
-        for i in range(3):
-            square += views.points[k, i] ** 2
-    radius = np.sqrt(square / len(views.points))
+    radius, n_inliers, log_share = _compute_radius(views), 0, 0.0
     for c in range(len(views.rotations)):
         camera_inliers = 0
         for k in range(views.start[c], views.start[c + 1]):
@@ -213,16 +221,54 @@ def compute_log_false_alarms(views: Views, pose: Pose) -> float:
 
 
 @leaf
+def _compute_local_inlier_ratio(views: Views, weights: FloatArray, n_inliers: int) -> float:
+    """Return the inlier ratio of the matches that are near an inlier, in its camera, including itself.
+
+    A match is near if the distance of the model points is less than their rms distance from the center. Of many inliers, a
+    part is examined.
+    """
+    max_square, step = _compute_radius(views) ** 2, 1 + n_inliers // MAX_SEARCH_MATCHES
+    n_near, n_near_inliers, index = 0, 0, 0
+    for c in range(len(views.rotations)):
+        first, last = views.start[c], views.start[c + 1]
+        for k in range(first, last):
+            if not weights[k] > 0.0:
+                continue
+            index += 1
+            if index % step != 0:
+                continue
+            for m in range(first, last):
+                square = 0.0
+                for i in range(3):
+                    square += (views.points[m, i] - views.points[k, i]) ** 2
+                if square < max_square:
+                    n_near += 1
+                    n_near_inliers += weights[m] > 0.0
+    return n_near_inliers / n_near
+
+
+@leaf
 def is_by_chance(views: Views, pose: Pose) -> bool:
-    """Return whether random matches could give a pose as good.
+    """Return whether wrong matches could give a pose as good.
 
     If all matches are inliers, there was no choice among them, and only the matches beyond the minimal three count as
     evidence.
+
+    Wrong matches need not be random: where an object looks alike from two sides, its edges and corners agree with a wrong
+    pose, in numbers that random matches never reach. But they are less exact, and the matches between them disagree, while
+    a right pose explains nearly all matches of the region that it shows. So a minority of inliers must also have low odds
+    of being mismatches: (1 - e) p / e, with e the inlier ratio near inliers, and p the probability of a random match being
+    one (geometric mean).
     """
     k, log_share = _compute_chance(views, pose.model.translation, pose.weights, pose.noise)
-    if k < len(pose.weights):
-        return bool(compute_log_false_alarms(views, pose) > np.log(MAX_FALSE_ALARMS))
-    return bool((k - 3.0) / k * log_share > np.log(MAX_FALSE_ALARMS))
+    n, max_log = len(pose.weights), np.log(MAX_FALSE_ALARMS)
+    if k == n:
+        return bool((k - 3.0) / k * log_share > max_log)
+    if not k > MIN_INLIER_RATIO * n:
+        ratio = _compute_local_inlier_ratio(views, pose.weights, k)
+        if not (1.0 - ratio) * np.exp(log_share / k) < MAX_FALSE_ALARMS * ratio:
+            return True
+    return bool(compute_log_false_alarms(views, pose) > max_log)
 
 
 @leaf

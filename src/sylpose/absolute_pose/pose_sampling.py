@@ -19,7 +19,7 @@ from sylpose.absolute_pose.pose_kernels import (
     make_workspace,
     minimize,
 )
-from sylpose.absolute_pose.views import MIN_MATCHES, Views
+from sylpose.absolute_pose.views import MAX_SEARCH_MATCHES, MIN_MATCHES, Views
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import HASH_MULTIPLIER, kernel, leaf
 
@@ -29,8 +29,6 @@ MIN_SAMPLES, MAX_SAMPLES, MISS_PROBABILITY = 20, 3000, 1e-4
 SEARCH_STEPS = 5
 # Poses that differ by a smaller angle, radians, are duplicates (choice).
 SAME_ROTATION = 0.05
-# Maximum number of matches used in the search, evenly from the cameras (choice).
-MAX_SEARCH_MATCHES = 500
 # Poses kept (choice).
 N_KEPT = 6
 # A start is discarded if its score exceeds the best by this factor and this number of matches (choice).

@@ -11,6 +11,8 @@ from sylpose.geometry.numba_linalg import index_distinct_rows, kernel, leaf, sym
 
 # Three matches have several exact poses; the fourth decides (derived).
 MIN_MATCHES = 4
+# Maximum number of matches used in the search, evenly from the cameras, and of inliers whose neighbors are counted (choice).
+MAX_SEARCH_MATCHES = 500
 # Points are on one line if their second largest variance is below this fraction of the largest (choice: rounding).
 MIN_VARIANCE_RATIO = 1e-12
 # Normalized coordinates of pixels that a lens cannot produce: far outside of every image (choice).
