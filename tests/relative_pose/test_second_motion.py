@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose import Matches, Motion, Rig, Status, estimate_motion
 from sylpose.geometry.numba_linalg import apply_rotvec
 from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.relative_pose import robust_fit
 from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
 from sylpose.relative_pose.motion_mixture import (
@@ -187,3 +188,28 @@ def test_few_right_matches_are_no_chance() -> None:
         rig, pair = make_pair(seed, matches=5)
         agree.append(estimate_motion(rig, pair.matches).status is not Status.NOT_CONSISTENT)
     assert np.mean(agree) >= 0.95
+
+
+def test_half_of_many_matches_is_no_chance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The choice of the inliers takes far less to describe than they gain: no fit to permuted matches is needed."""
+    searches = list[int]()
+    monkeypatch.setattr(robust_fit, "draw_and_fit", lambda stack, *_: searches.append(len(stack.x)))
+    for seed in range(20):
+        rig, pair = make_pair(seed, matches=60)
+        rng = np.random.default_rng(seed)
+        is_wrong = [rng.random(len(m.x)) < 0.5 for m in pair.matches]
+        mixed = [
+            Matches(m.x, np.where(wrong[:, None], rng.permutation(m.y), m.y))
+            for m, wrong in zip(pair.matches, is_wrong, strict=True)
+        ]
+        assert estimate_motion(rig, mixed).status.has_pose
+    assert not searches
+
+
+def test_chance_of_mismatches() -> None:
+    """Their likeliest fits are never certain, at any number of matches; then permuted matches decide."""
+    for seed, per_camera in enumerate((6, 12, 40, 150) * 5):
+        rig, pair = make_pair(seed, matches=per_camera)
+        rng = np.random.default_rng(seed)
+        wrong = [Matches(m.x, rng.permutation(m.y)) for m in pair.matches]
+        assert estimate_motion(rig, wrong).status is not Status.OK, (seed, per_camera)

@@ -9,7 +9,6 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
 from sylpose.relative_pose.irls import IrlsFit, has_uniform_residuals
-from sylpose.relative_pose.limits import MOST
 from sylpose.relative_pose.motion_mixture import (
     correlate_neighbors,
     has_static_candidates,
@@ -27,7 +26,6 @@ class FitDiagnostics(NamedTuple):
     Attributes:
         inliers: number of inliers.
         is_finite: whether the search converged to finite values.
-        has_certain_inliers: whether the share of inliers exceeds chance without a further test (`solver`).
         has_uniform_residuals: whether the inliers' residuals are uniform instead of noise: selected by the noise bound.
         has_static_candidates: whether the matches may contain a background (`has_static_candidates`).
         is_collinear: whether the inliers are collinear (`is_collinear`).
@@ -42,7 +40,6 @@ class FitDiagnostics(NamedTuple):
 
     inliers: int
     is_finite: bool
-    has_certain_inliers: bool
     has_uniform_residuals: bool
     has_static_candidates: bool
     is_collinear: bool
@@ -64,13 +61,12 @@ def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: Float
         probabilities: (N,) the probability of each match to belong to the motion, given that it is no mismatch.
         radius: of the object.
     """
-    inliers, usable_count, soft_assignment, finite = 0, 0, False, True
+    inliers, soft_assignment, finite = 0, False, True
     for i in range(6):
         finite = finite and (i > 2 or np.isfinite(fit.candidate.translation[i % 3]))
         for j in range(6):
             finite = finite and np.isfinite(fit.information[i, j])
     for i in range(len(probabilities)):
-        usable_count += usable[i]
         inliers += fit.weights[i] > 0.0
         soft_assignment = soft_assignment or (probabilities[i] > 0.0 and probabilities[i] < 1.0)
     freedom = max(inliers - 6, 1)
@@ -80,13 +76,13 @@ def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: Float
     curved = compute_size_if_curved(fit, radius) > 0.0
     uncertain = curved or soft_assignment
     mixed = is_mixed(*correlate_neighbors(stack, fit), uncertain)
-    certain, uniform = inliers >= MOST * usable_count, has_uniform_residuals(fit.weights)
+    uniform = has_uniform_residuals(fit.weights)
     background = has_static_candidates(stack, usable)
     collinear = is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3)))
     static, dependence = is_static(stack, fit, information), measure_dependence(stack, fit)
     shape = background, collinear, soft_assignment, curved, static, dependence, mixed
     uniform = uniform and not soft_assignment
-    return FitDiagnostics(inliers, finite, certain, uniform, *shape, information, without_depth)
+    return FitDiagnostics(inliers, finite, uniform, *shape, information, without_depth)
 
 
 @kernel

@@ -36,6 +36,7 @@ from sylpose.relative_pose.camera_evidence import cross_rows, linearize_distance
 from sylpose.relative_pose.irls import (
     MISMATCH_RANGE,
     IrlsFit,
+    copy_fit,
     make_empty_irls_fit,
     make_irls_start,
     run_irls,
@@ -55,8 +56,7 @@ from sylpose.relative_pose.match_cost import (
     make_match_errors,
     make_term,
 )
-from sylpose.relative_pose.observability import is_consistent
-from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit, exceeds_chance
 from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into, transform_to_camera
 
 # Number of image neighbors that a match's residual is compared with (choice).
@@ -427,7 +427,7 @@ def split_background(
         fit, _, iterations, *_ = draw_and_fit(stack, moves, guesses, rng)
         starts = [fit, *starts] if fit.weights.any() else starts
     mixtures = [_fit_mixture(stack, usable, start, squared_px, sigma, static_probability) for start in starts]
-    mixtures = [mixture for mixture in mixtures if _is_valid_mixture(stack, usable, mixture)]
+    mixtures = [mixture for mixture in mixtures if _is_valid_mixture(stack, usable, mixture, guesses, rng)]
     if not mixtures:
         return None
     best = min(mixtures, key=lambda mixture: mixture.cost)
@@ -627,11 +627,16 @@ def _fit_mixture(
     return _Mixture(fit, moving_probability, probabilities[0], sigma, cost, decrease, iterations)
 
 
-def _is_valid_mixture(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
+def _is_valid_mixture(
+    stack: Stack, usable: BoolArray, mixture: _Mixture, guesses: InitialMotions, rng: np.random.Generator
+) -> bool:
     """Return whether enough moving matches agree with the motion, beyond chance."""
-    others = usable & (mixture.static_probability < 0.5)
-    moving_fit = mixture.fit._replace(weights=np.where(others, mixture.fit.weights, 0.0))
-    return bool(mixture.moving_probability.sum() >= MIN_MOVING_MATCHES and is_consistent(stack, others, moving_fit))
+    if not mixture.moving_probability.sum() >= MIN_MOVING_MATCHES:
+        return False
+    others, fit = usable & (mixture.static_probability < 0.5), make_empty_irls_fit(stack)
+    copy_fit(fit, mixture.fit)
+    _, _, cost = run_irls(stack, others.astype(np.float64), fit, SIGMA_FLOOR_PX)
+    return exceeds_chance(stack, others, float(cost), int((fit.weights > 0.0).sum()), guesses, rng)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Tests of a fitted motion: consistency, zero motion, collinear points, unobservable directions."""
+"""Tests of a fitted motion: zero motion, collinear points, unobservable directions."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
 from sylpose.geometry.numba_linalg import kernel, so3_log
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import IrlsFit
-from sylpose.relative_pose.limits import CUTOFF, MOST
-from sylpose.relative_pose.match_cost import Tolerance, compute_distances, make_match_errors, make_term
 from sylpose.relative_pose.terms import Fit, Stack
 from sylpose.status import Status
 
@@ -26,11 +24,7 @@ MAX_ROD_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # They also count as collinear up to this deviation if they extend so many times as far along the line. The depth of so
 # thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
 MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
-# Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
-# single one (choice).
-SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
-# Number of permutations to measure chance (choice).
-N_PERMUTATIONS = 8
+
 
 
 def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
@@ -71,46 +65,6 @@ def find_unobservable_motions(
         if rotvec @ rotation_information @ rotvec < MIN_ROTATION_SQUARE:
             directions = np.concatenate([np.zeros(3), translation / length])[None]
     return np.asarray(directions * scale)
-
-
-def is_more_than_chance(inliers: float, by_chance: float, unknowns: int) -> bool:
-    """Return whether the inliers exceed the number that a wrong solution would have.
-
-    The best of many hypotheses has more inliers than any single one by chance, hence the factor. It always satisfies as
-    many matches as there are unknowns, and as many again by selection.
-    """
-    return inliers > SELECTED_PER_UNKNOWN * unknowns + CHANCE_FACTOR * by_chance
-
-
-def is_consistent(stack: Stack, usable: BoolArray, fit: IrlsFit) -> bool:
-    """Return whether more matches agree with the fit than would by chance.
-
-    Chance is measured: after permuting the second points among a camera's matches, any agreement is accidental.
-    """
-    weights = fit.weights
-    inliers, total = int((weights > 0).sum()), int(usable.sum())
-    if inliers >= MOST * total:
-        return True
-    by_chance, candidate = 0.0, fit.candidate._replace(depth_model=stack.depth_model_mean)
-    matches, usable_weights = make_match_errors(len(stack.x)), usable.astype(np.float64)
-    for k in range(1, N_PERMUTATIONS + 1):
-        y = stack.y.copy()
-        for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
-            index = first + np.flatnonzero(usable[first:last])
-            # Shift far: neighbors in the list may be neighbors in the image, or duplicates.
-            y[index] = np.roll(y[index], k * max(1, len(index) // (N_PERMUTATIONS + 1)), axis=0)
-        permuted, agree = stack._replace(y=y), np.zeros(len(y))
-        for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
-            # Skip excluded terms, and terms with too few matches to permute.
-            if not (weights[first:last] > 0).any() or usable[first:last].sum() <= k:
-                continue
-            variance, residual_depth = (fit.sigma_px[t] / stack.focal[t]) ** 2, stack.residual_depth[t]
-            term = make_term(permuted, t, candidate, Tolerance(variance, residual_depth, residual_depth, CUTOFF))
-            compute_distances(permuted, term, usable_weights, matches)
-            agree[first:last] = matches.weights[first:last]
-        changed = usable & (y != stack.y).any(axis=1)
-        by_chance += float((agree[changed] > 0.0).sum()) * total / max(int(changed.sum()), 1) / N_PERMUTATIONS
-    return is_more_than_chance(inliers, by_chance, 6)
 
 
 @kernel

@@ -29,13 +29,12 @@ from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import N_MOTION, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.limits import DECREASE_OF_ONE_SD, SIGMA_FLOOR_PX
 from sylpose.relative_pose.planes import fit_edge_on, is_flat
-from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit, exceeds_chance
 from sylpose.relative_pose.terms import (
     DEPTH_MODEL_SIZE,
     MIN_MATCHES,
     Candidate,
     Fit,
-    InitialMotions,
     Solution,
     Stack,
     TermData,
@@ -53,10 +52,6 @@ Information = tuple[FloatArray, FloatArray]
 
 # If most matches are static and the motion may be larger by this factor, it is unknown (choice).
 MAX_MOTION_FACTOR = 3.0
-# Number of fits to permuted matches, and the factor by which the log-likelihood, relative to mismatches, exceeds the best of
-# them (measured: three wrong motions of benchmarks/honesty.py with 12 matches have at most 0.9, right ones with 12 to 64 at
-# least 2.2).
-N_PERMUTED_FITS, CHANCE_LIKELIHOOD_FACTOR = 3, 2.0
 
 
 class _Problem(NamedTuple):
@@ -135,40 +130,10 @@ def fit_terms(
     if split is not None:
         minima = uncertainty.merge_minima(result.minima, split.rebase_minima(float(result.minima.costs.min())))
         result = result._replace(minima=minima)
-    if checks.has_uniform_residuals or not _exceeds_chance(problem, result, checks, starts, rng):
+    cost = float(result.minima.costs.min())
+    if checks.has_uniform_residuals or not exceeds_chance(stack, usable, cost, checks.inliers, starts, rng):
         return problem.fail(Status.NOT_CONSISTENT)
     return replace(_build_fit(problem, result, all_usable, checks, motion_factor), iterations=int(result.iterations))
-
-
-def _exceeds_chance(
-    problem: _Problem, result: RobustFit, checks: FitDiagnostics, starts: InitialMotions, rng: np.random.Generator
-) -> bool:
-    """Return whether the matches agree with the fit better than mismatches would.
-
-    If the number of inliers is no certain evidence, because they are few or a minority, the likelihood is compared with
-    that of fits to permuted matches, of which any is chance. If searches find no motion, up to as many more are made.
-    """
-    stack, usable = problem.stack, problem.usable
-    cost, costs = float(result.minima.costs.min()), list[float]()
-    if not cost < np.inf:
-        return False
-    if checks.has_certain_inliers and observability.is_more_than_chance(checks.inliers, 0.0, N_MOTION):
-        return True
-    # One or two matches of a camera cannot be permuted.
-    indices = [first + np.flatnonzero(usable[first:last]) for first, last in pairwise(stack.offsets.tolist())]
-    permuted = [index for index in indices if len(index) > 2]
-    if sum(map(len, permuted)) < MIN_MATCHES:
-        return checks.has_certain_inliers
-    for _ in range(2 * N_PERMUTED_FITS):
-        y = stack.y.copy()
-        for index in permuted:
-            y[index] = y[rng.permutation(index)]
-        # A search that finds no motion at all shows nothing.
-        permuted_cost = float(draw_and_fit(stack._replace(y=y), usable, starts, rng).minima.costs.min())
-        costs += [permuted_cost] if permuted_cost < np.inf else []
-        if len(costs) == N_PERMUTED_FITS:
-            break
-    return cost < CHANCE_LIKELIHOOD_FACTOR * min(*costs, 0.0) if costs else checks.has_certain_inliers
 
 
 def _is_all_static(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
@@ -480,10 +445,6 @@ def warm_up() -> None:
     stack = _make_stack()
     fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
     run_irls(stack, usable, fit, SIGMA_FLOOR_PX)
-    # Few inliers: only then are they compared with chance.
-    fit.weights[:] = 0.0
-    fit.weights[::12] = 1.0
-    observability.is_consistent(stack, usable > 0, fit)
     observability.is_static(stack, fit, np.eye(6))
     motion_mixture.correlate_neighbors(stack, fit)
     motion_mixture.divide_inliers(stack, fit)

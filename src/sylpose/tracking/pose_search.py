@@ -23,7 +23,6 @@ from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotati
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.relative_pose.camera_evidence import TREMBLE_SD
 from sylpose.relative_pose.motion_mixture import MIN_MOVING_MATCHES
-from sylpose.relative_pose.observability import SELECTED_PER_UNKNOWN
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
 from sylpose.tracking.box_motion import is_box_center_static, is_replaced, select_static_matches, update_from_matches
@@ -36,6 +35,7 @@ from sylpose.tracking.camera_side.camera import (
 from sylpose.tracking.camera_side.frame import (
     MAJORITY,
     PREDICTED_RADIUS,
+    SELECTED_PER_UNKNOWN,
     SOLVED_RADIUS,
     CameraPairs,
     FrameMatches,

@@ -27,7 +27,6 @@ from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidenc
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
 from sylpose.relative_pose.limits import CUTOFF as OUTLIER_SDS
 from sylpose.relative_pose.limits import MIN_ERROR_PX, MISMATCH_PROBABILITY
-from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
 from sylpose.rig import Camera
@@ -60,6 +59,9 @@ MIN_EVIDENCE_WEIGHT = 0.06
 # An inlier share this large does not occur by chance; at 0.7 another body in the same place is tracked (measured:
 # tests/tracking/test_disturbed.py) (choice).
 MIN_CERTAIN_INLIER_RATIO = 0.8
+# Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
+# single one (choice).
+SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
 # More than this share is most: of a landmark's displacement, which has to be explained by the object's motion, and of the
 # weight of features, which noise reduces (choice).
 MAJORITY = 0.5
@@ -541,12 +543,15 @@ def compute_inlier_statistics(
 def is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
     """Return whether random matches would agree with a pose about as often.
 
-    The pose has six unknowns, plus those of each camera's depth model.
+    The pose has six unknowns, plus those of each camera's depth model. The best of many poses has more inliers than any
+    single one by chance, hence the factor. It always satisfies as many matches as there are unknowns, and as many again by
+    selection.
     """
     inliers, tried = sum(one.n_inlier_features for one in statistics), sum(one.n_features for one in statistics)
     n_unknowns = 6 + sum(one.n_unknowns for one in statistics)
     expected = sum(one.expected_by_chance for one in statistics)
-    return inliers < MIN_CERTAIN_INLIER_RATIO * tried and not is_more_than_chance(inliers, expected, n_unknowns)
+    by_chance = SELECTED_PER_UNKNOWN * n_unknowns + CHANCE_FACTOR * expected
+    return inliers < MIN_CERTAIN_INLIER_RATIO * tried and not inliers > by_chance
 
 
 def compute_support(observations: LandmarkMatches, weights: FloatArray, residuals: FloatArray) -> float:
