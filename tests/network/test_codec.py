@@ -91,7 +91,7 @@ NUDGE = Nudge(1, 5, random_array(3), 0.01)
 JOINT = JointState(
     MODEL,
     KnownFrames(SOLVED, (SOLVED, SOLVED), (SOLVED,), Anchor(SOLVED, 3, True), 6),
-    ObjectMotion(VELOCITY, True, POSE, PoseEstimate(POSE, random_array(6, 6)), 2, False, True, POSE, 9),
+    ObjectMotion(VELOCITY, True, (3, POSE), PoseEstimate(POSE, random_array(6, 6)), 2, False, True, POSE, 9),
     Refinement(random_array(6, 6), SOLVED, rests_on_prior=True),
     (NUDGE,),
 )

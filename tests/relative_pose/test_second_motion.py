@@ -212,4 +212,14 @@ def test_chance_of_mismatches() -> None:
         rig, pair = make_pair(seed, matches=per_camera)
         rng = np.random.default_rng(seed)
         wrong = [Matches(m.x, rng.permutation(m.y)) for m in pair.matches]
-        assert estimate_motion(rig, wrong).status is not Status.OK, (seed, per_camera)
+        assert estimate_motion(rig, wrong).status is Status.NOT_CONSISTENT, (seed, per_camera)
+
+
+@pytest.mark.parametrize(("cameras", "per_camera"), [(12, 2), (8, 3)])
+def test_few_matches_of_many_cameras_are_no_chance(cameras: int, per_camera: int) -> None:
+    """One or two matches of a camera cannot be permuted."""
+    statuses = [
+        estimate_motion(rig, pair.matches).status
+        for rig, pair in (make_pair(seed, cameras=cameras, matches=per_camera) for seed in range(8))
+    ]
+    assert statuses.count(Status.OK) >= 7

@@ -22,6 +22,7 @@ from sylpose.simulate import Actor, ring
 from sylpose.status import FrameStatus
 from sylpose.tracking.box_motion import (
     OUTSIDE_REASON,
+    RIVAL_REASON,
     _is_at_edges,
     bound_pose,
     is_box_center_static,
@@ -285,3 +286,14 @@ def test_arm_before_the_object_is_not_tracked_instead(seed: int) -> None:
     is_wrong = (errors[:, 0] > 3.0) & (errors[:, 2] > 5.0)
     assert not (is_wrong & [pose.status is FrameStatus.TRACKED for pose in poses]).any()
     assert errors[-1, 0] < 1.0
+    assert all(pose.reason == RIVAL_REASON for pose in poses if pose.status is FrameStatus.AMBIGUOUS)
+
+
+def test_two_cameras_are_not_believed_in_one_frame() -> None:
+    """Held in front of a person: their first motions are wrong, by seven degrees, and differ from frame to frame."""
+    take = draw("one-handed", 113)
+    poses = [one.pose for one in track(list(islice(take.frames(), 5)), take.calibration, take.boxes, workers=1)]
+    (truth, *_) = take.true_poses()
+    errors, _ = compute_errors(take, poses, truth)
+    assert errors[1:, 0].max() > 3.0  # degrees: else this scene is no example any more
+    assert errors[1:, 2:].max() < 5.0  # standard deviations

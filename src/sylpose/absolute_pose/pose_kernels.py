@@ -222,10 +222,10 @@ def compute_log_false_alarms(views: Views, pose: Pose) -> float:
 
 @leaf
 def _compute_local_inlier_ratio(views: Views, weights: FloatArray, n_inliers: int) -> float:
-    """Return the inlier ratio of the matches that are near an inlier, in its camera, including itself.
+    """Return the inlier ratio near the inliers, weighted by their numbers of neighbors: matches of the same camera.
 
-    A match is near if the distance of the model points is less than their rms distance from the center. Of many inliers, a
-    part is examined.
+    A neighbor is nearer than the rms distance of the model points from the center; an inlier is its own neighbor. Of many
+    inliers, a part is examined.
     """
     max_square, step = _compute_radius(views) ** 2, 1 + n_inliers // MAX_SEARCH_MATCHES
     n_near, n_near_inliers, index = 0, 0, 0
@@ -249,26 +249,31 @@ def _compute_local_inlier_ratio(views: Views, weights: FloatArray, n_inliers: in
 
 @leaf
 def is_by_chance(views: Views, pose: Pose) -> bool:
-    """Return whether wrong matches could give a pose as good.
+    """Return whether random matches could give a pose as good.
 
     If all matches are inliers, there was no choice among them, and only the matches beyond the minimal three count as
     evidence.
-
-    Wrong matches need not be random: where an object looks alike from two sides, its edges and corners agree with a wrong
-    pose, in numbers that random matches never reach. But they are less exact, and the matches between them disagree, while
-    a right pose explains nearly all matches of the region that it shows. So a minority of inliers must also have low odds
-    of being mismatches: (1 - e) p / e, with e the inlier ratio near inliers, and p the probability of a random match being
-    one (geometric mean).
     """
     k, log_share = _compute_chance(views, pose.model.translation, pose.weights, pose.noise)
-    n, max_log = len(pose.weights), np.log(MAX_FALSE_ALARMS)
-    if k == n:
-        return bool((k - 3.0) / k * log_share > max_log)
-    if not k > MIN_INLIER_RATIO * n:
-        ratio = _compute_local_inlier_ratio(views, pose.weights, k)
-        if not (1.0 - ratio) * np.exp(log_share / k) < MAX_FALSE_ALARMS * ratio:
-            return True
-    return bool(compute_log_false_alarms(views, pose) > max_log)
+    if k < len(pose.weights):
+        return bool(compute_log_false_alarms(views, pose) > np.log(MAX_FALSE_ALARMS))
+    return bool((k - 3.0) / k * log_share > np.log(MAX_FALSE_ALARMS))
+
+
+@leaf
+def may_be_other_side(views: Views, pose: Pose) -> bool:
+    """Return whether a minority of inliers may be mismatches of a side that looks alike.
+
+    Such matches are not random: edges and corners agree with a wrong pose, in numbers that random matches never reach. But
+    they are less exact, and the matches between them disagree, while a right pose explains nearly all matches of the region
+    that it shows. So inliers must also have low odds of being mismatches: (1 - e) p / e, with e the inlier ratio near
+    inliers, and p the probability of a random match being one (geometric mean).
+    """
+    k, log_share = _compute_chance(views, pose.model.translation, pose.weights, pose.noise)
+    if k > MIN_INLIER_RATIO * len(pose.weights):
+        return False
+    ratio = _compute_local_inlier_ratio(views, pose.weights, k)
+    return not (1.0 - ratio) * np.exp(log_share / k) < MAX_FALSE_ALARMS * ratio
 
 
 @leaf
@@ -609,7 +614,7 @@ class Assessment(NamedTuple):
         limits: (6,) standard deviations beyond which (w, d) are unobservable: an angle, and half of the distance.
         is_observable: whether all directions of (w, d) are within the limits.
         alternative: index of a pose with a different rotation that explains the matches about as well, or -1.
-        is_by_chance: whether random matches could give a pose as good.
+        is_by_chance: whether random matches, or those of another side, could give a pose as good.
         n_supporting, n_opposing: number of cameras that support the pose, and of those that may support another one.
         inliers: (C,) number of inliers of each camera.
         all_inliers: whether all used matches are inliers.
@@ -689,7 +694,8 @@ def assess_pose(
         transform[i, 3] = selection.origin[i] + g[i] - (r[0] * center[0] + r[1] * center[1] + r[2] * center[2])
     all_inliers = inliers.sum() == len(views.points)
     return Assessment(
-        transform, information, covariance, limits, values[0] >= 1.0, alternative, is_by_chance(views, pose),
+        transform, information, covariance, limits, values[0] >= 1.0, alternative,
+        is_by_chance(views, pose) or may_be_other_side(views, pose),
         n_supporting, n_opposing, inliers, all_inliers, is_inlier, residuals,
     )  # fmt: skip
 

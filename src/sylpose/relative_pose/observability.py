@@ -26,7 +26,6 @@ MAX_ROD_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
 
 
-
 def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
     """Return the fit with its status set by its observability: OK, or an unobservable scale or rotation.
 

@@ -20,7 +20,14 @@ from sylpose.relative_pose.irls import (
     make_empty_irls_fit,
     run_constrained_irls,
 )
-from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_ROUNDS, MIN_ERROR_PX, SIGMA_FLOOR_PX
+from sylpose.relative_pose.limits import (
+    CONVERGED_DECREASE,
+    HALF_DIGITS,
+    MAX_ROUNDS,
+    MIN_ERROR_PX,
+    MOST,
+    SIGMA_FLOOR_PX,
+)
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
 from sylpose.relative_pose.planes import fit_edge_on
 from sylpose.relative_pose.search import MAX_HYPOTHESES, make_minima, search_minima
@@ -31,7 +38,7 @@ from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, MIN_MATCHES, InitialMo
 MAX_LIKELIHOOD_GAP = 60.0
 # Number of fits to permuted matches, and the factor by which the log-likelihood, relative to mismatches, exceeds the best of
 # them (measured: three wrong motions of benchmarks/honesty.py with 12 matches have at most 0.9, right ones with 12 to 64 at
-# least 2.2).
+# least 2.2), or what it takes to describe a choice among mismatches, which is far more.
 N_PERMUTED_FITS, CHANCE_LIKELIHOOD_FACTOR = 3, 2.0
 
 
@@ -175,21 +182,27 @@ def exceeds_chance(
     """
     if not cost < np.inf:
         return False
-    n, unknowns = int(usable.sum()), N_MOTION + len(stack.focal) * (DEPTH_MODEL_SIZE + 1)
-    choices = -betaln(inliers + 1.0, n - inliers + 1.0) - np.log(n + 1.0)
-    if -cost > CHANCE_LIKELIHOOD_FACTOR * (choices + 0.5 * unknowns * np.log(n)):
-        return True
-    costs = list[float]()
     # One or two matches of a camera cannot be permuted.
     indices = [first + np.flatnonzero(usable[first:last]) for first, last in pairwise(stack.offsets.tolist())]
-    permuted = [index for index in indices if len(index) > 2]
+    permuted, is_permuted = [index for index in indices if len(index) > 2], np.zeros(len(usable), bool)
+    n, unknowns = int(usable.sum()), N_MOTION + sum(map(bool, map(len, indices))) * (DEPTH_MODEL_SIZE + 1)
+    choices = -betaln(inliers + 1.0, n - inliers + 1.0) - np.log(n + 1.0)
+    # As many inliers as unknowns can be selected, and as many again.
+    is_majority = inliers >= MOST * n and inliers > 2 * N_MOTION
+    if is_majority or -cost > CHANCE_LIKELIHOOD_FACTOR * (choices + 0.5 * unknowns * np.log(n)):
+        return True
+    for index in permuted:
+        is_permuted[index] = True
+    costs = list[float]()
+    if is_permuted.sum() < MIN_MATCHES:
+        return False
     # A search that finds no motion at all shows nothing.
     for _ in range(2 * N_PERMUTED_FITS):
         y = stack.y.copy()
         for index in permuted:
             y[index] = y[rng.permutation(index)]
-        permuted_cost = float(draw_and_fit(stack._replace(y=y), usable, guesses, rng).minima.costs.min())
-        costs += [permuted_cost] if permuted_cost < np.inf else []
+        found = draw_and_fit(stack._replace(y=y), is_permuted, guesses, rng)
+        costs += [float(found.minima.costs.min())] if found.minima.costs.min() < np.inf else []
         if len(costs) == N_PERMUTED_FITS:
             break
     return bool(costs) and cost < CHANCE_LIKELIHOOD_FACTOR * min(*costs, 0.0)

@@ -113,9 +113,9 @@ def _update_depth(
     """
     first = state.frames.first
     initial_motion, is_ambiguous = estimate_first_motion(context, pairs, first.number), False
+    if state.object.is_bounded:
+        initial_motion, is_ambiguous = _select_central(context, state, pairs, initial_motion)
     if state.object.is_depth_guessed:
-        if state.object.is_bounded:
-            initial_motion, is_ambiguous = _select_central(context, state, pairs, initial_motion)
         known = bound_pose(context, state, initial_motion.measure_displacement(first.world_from_object.translation))
         state = replace(state, motion=replace(state.motion, independent_pose=known))
     # Something may pass by behind the object.
@@ -130,9 +130,11 @@ def _update_depth(
         return state, None  # all later frames would build on it
     accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     is_observable = classify_observability(initial_motion.fit, state.object.radius)[0].status in accepted_statuses
-    # With two cameras another motion may fit as well, of a planar object or of two bodies. It differs in each frame.
-    earlier = state.motion.first_motion
-    is_confirmed = initial_motion.n_cameras != 2 or is_continuing_motion(earlier, initial_motion.motion)
+    # With two cameras another motion may fit as well, of a planar object or of two bodies. It differs in each frame; a frame
+    # may be examined more than once.
+    number, earlier = state.motion.first_motion or (frame.number, None)
+    is_continuing = number < frame.number and is_continuing_motion(earlier, initial_motion.motion)
+    is_confirmed = len(context.rig) == 1 or initial_motion.n_cameras > 2 or is_continuing
     if is_observable and is_confirmed and state.object.is_depth_guessed:
         known = initial_motion.estimate_pose(first.world_from_object, state.object.radius)
         state = replace(state, motion=replace(state.motion, independent_pose=known))
@@ -147,18 +149,19 @@ def _update_depth(
     if not is_observable:
         return state, None
     if not is_confirmed:
-        return replace(state, motion=replace(state.motion, first_motion=initial_motion.motion)), None
+        motion_of_frame = (frame.number, initial_motion.motion)
+        return replace(state, motion=replace(state.motion, first_motion=motion_of_frame)), None
     if not state.object.is_depth_guessed:
         return state, initial_motion
     points = [
         quantize_positions(triangulate_inliers(camera.camera, inliers, first.world_from_object, current_pose), radius)
         for camera, inliers in zip(context.cameras, initial_motion.inliers, strict=True)
     ]
-    if is_ambiguous:
-        state = replace(state, ambiguity=RIVAL_REASON)
     surface = np.concatenate(context.executor.gather(points, np.empty((0, 3))))
     if len(surface) < MIN_SURFACE_POINTS:
         return state, initial_motion
+    if is_ambiguous:
+        state = replace(state, ambiguity=RIVAL_REASON)
     state = state.reset_to_first_frame(radius)
     for camera in context.cameras:
         model = replace(state.object, points=surface)
@@ -171,9 +174,9 @@ def _select_central(
 ) -> tuple[FirstMotion, bool]:
     """Select the motion of the body that is the object; return it, and whether it is ambiguous.
 
-    Its matches are densest about the centers of the boxes, by their number and its squared distance: an arm before the
-    object may have more, a hand that holds it may be nearer. If it is not the one with the most, which one is the object is
-    the user's knowledge.
+    It is the one with the most matches per square of its distance from the centers of the boxes: an arm before the object
+    may have more matches, a hand that holds it may be nearer. If another body has the most, which one is the object is the
+    user's knowledge. Its motion need not be significant yet: that of an arm is no substitute.
 
     Args:
         pairs: per camera, local: the matches.
@@ -182,10 +185,10 @@ def _select_central(
     if not motion.n_inliers:
         return motion, False
     center, first = state.frames.first.world_from_object.translation, state.frames.first.number
-    rigid = [body for body in (motion, *find_rivals(context, pairs, first, motion)) if body.is_rigid]
-    areas = [float(((body.inlier_center - center) ** 2).sum()) / body.n_inliers for body in rigid]
-    selected = rigid[int(np.argmin(areas))] if rigid else motion
-    return selected, selected is not motion
+    bodies = [body for body in (motion, *find_rivals(context, pairs, first, motion)) if body.is_rigid] or [motion]
+    squares_per_match = [float(((body.inlier_center - center) ** 2).sum()) / body.n_inliers for body in bodies]
+    selected = bodies[int(np.argmin(squares_per_match))]
+    return selected, motion.is_rigid and selected is not motion
 
 
 def bound_pose(context: Context, state: JointState, displacement: float = 0.0) -> PoseEstimate:

@@ -63,7 +63,7 @@ MAX_GROUP_DISTANCE_PX = 0.5
 
 @dataclass(frozen=True, eq=False)
 class FirstMotion:
-    """Motion since a frame, of the only object that moves.
+    """Motion of a body since a frame.
 
     Attributes:
         fit: of the moving matches.
@@ -76,7 +76,7 @@ class FirstMotion:
         is_rigid: whether a rigid motion is likelier than independent displacements of the matches.
         is_significant: whether it also exceeds the noise of static keypoints.
         is_observable: whether it is fully observable, including rotation angle and length of translation.
-        moving: per camera, its moving matches with the frame, inliers or not.
+        moving: per camera, its moving matches with the frame, inliers or not, without those of larger bodies.
         failure_status: status to report if this is not the object's motion: too few matches, no motion, or no rigid
             motion.
         inliers: per camera, local.
@@ -344,7 +344,7 @@ def _expand_fit(fit: Fit, is_chosen: Sequence[BoolArray]) -> Fit:
 
 
 def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches], options: TrackingOptions) -> BoolArray:
-    """Return the cameras (T,) in which a fit leaves much of its inliers' displacement unexplained."""
+    """Return the terms (T,) in which a fit leaves much of its inliers' displacement unexplained."""
     is_poor = np.zeros(len(reports), bool)
     for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
         good = w > 0
@@ -363,8 +363,8 @@ def _test_significance(
     motion, which predicts the match's epipolar line, has a Gaussian density of the residual r.
 
     Returns:
-        (T,) cameras in which a rigid motion is likelier than independent displacements of the matches, none if it is not
-        in all of them together; (T,) those of them that detect a motion beyond the noise of static keypoints.
+        (T,) terms in which a rigid motion is likelier than independent displacements of the matches, none if it is not in
+        all of them together; (T,) those of them that detect a motion beyond the noise of static keypoints.
     """
     log_gain, (is_rigid, is_displaced) = 0.0, np.zeros((2, len(reports)), bool)
     for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):

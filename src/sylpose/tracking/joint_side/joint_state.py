@@ -502,7 +502,7 @@ class ObjectMotion:
     Attributes:
         velocity: motion model.
         has_moved: whether the object was ever observed to move against the static background.
-        first_motion: motion since the first frame as of the last frame, while its depth is known from boxes only.
+        first_motion: number of a recent frame and its motion since the first one, while depth is known from boxes only.
         independent_pose: what is known of the current frame's pose without guessed depths, while depths are guessed.
         n_missed: frames since the last solved one.
         is_lost: whether the predicted pose is no longer usable.
@@ -513,7 +513,7 @@ class ObjectMotion:
 
     velocity: MotionModel = field(default_factory=MotionModel)
     has_moved: bool = False
-    first_motion: RigidTransform | None = None
+    first_motion: tuple[int, RigidTransform] | None = None
     independent_pose: PoseEstimate | None = None
     n_missed: int = 0
     is_lost: bool = False
