@@ -23,6 +23,7 @@ from sylpose.status import FrameStatus
 from sylpose.tracking.box_motion import (
     OUTSIDE_REASON,
     RIVAL_REASON,
+    _count_all_central,
     _is_at_edges,
     bound_pose,
     is_box_center_static,
@@ -136,7 +137,7 @@ def test_motion_at_the_edges_of_the_boxes(n_center: int, n_edge: int, follows: s
         inliers.append([pair.subset(is_follower)])
     context = Context(RIG, cameras, LocalExecutor(n, 1), "landmarks", False, True, np.zeros(n), 0)
     motion = cast(FirstMotion, SimpleNamespace(inliers=inliers))
-    assert _is_at_edges(context, state, pairs, motion) is expected
+    assert _is_at_edges(_count_all_central(context, state, pairs, motion)) is expected
 
 
 def test_static_matches_are_selected() -> None:
@@ -289,11 +290,13 @@ def test_arm_before_the_object_is_not_tracked_instead(seed: int) -> None:
     assert all(pose.reason == RIVAL_REASON for pose in poses if pose.status is FrameStatus.AMBIGUOUS)
 
 
-def test_two_cameras_are_not_believed_in_one_frame() -> None:
-    """Held in front of a person: their first motions are wrong, by seven degrees, and differ from frame to frame."""
-    take = draw("one-handed", 113)
-    poses = [one.pose for one in track(list(islice(take.frames(), 5)), take.calibration, take.boxes, workers=1)]
+@pytest.mark.parametrize("seed", [75, 77])
+def test_two_cameras_are_not_believed_in_one_frame(seed: int) -> None:
+    """They see an arm, or a motion between the arm's and the object's, which explains few of the matches at the centers."""
+    take = draw("arm-across", seed)
+    poses = [one.pose for one in track(list(islice(take.frames(), 4)), take.calibration, take.boxes, workers=1)]
     (truth, *_) = take.true_poses()
     errors, _ = compute_errors(take, poses, truth)
-    assert errors[1:, 0].max() > 3.0  # degrees: else this scene is no example any more
-    assert errors[1:, 2:].max() < 5.0  # standard deviations
+    is_localized = [pose.status in (FrameStatus.TRACKED, FrameStatus.RELOCALIZED) for pose in poses]
+    assert not (np.array(is_localized) & (errors[:, 2:].max(axis=1) > 5.0)).any()  # standard deviations
+    assert any(is_localized[1:])

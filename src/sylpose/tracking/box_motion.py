@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
-from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.matches import STATIC_PX
@@ -123,18 +123,21 @@ def _update_depth(
     is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
     if not initial_motion.is_rigid or is_unclear or is_far:
         return state, None
+    counts = _count_all_central(context, state, pairs, initial_motion)
     if state.object.is_depth_guessed and (
-        initial_motion.compute_f_ratio() > context.options.max_pooled_f_ratio
-        or _is_at_edges(context, state, pairs, initial_motion)
+        initial_motion.compute_f_ratio() > context.options.max_pooled_f_ratio or _is_at_edges(counts)
     ):
         return state, None  # all later frames would build on it
     accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     is_observable = classify_observability(initial_motion.fit, state.object.radius)[0].status in accepted_statuses
-    # With two cameras another motion may fit as well, of a planar object or of two bodies. It differs in each frame; a frame
-    # may be examined more than once.
+    # With two cameras another motion may fit as well, of two bodies, unless most of what is at the centers of the boxes
+    # follows it. It differs in each frame; a frame may be examined more than once.
     number, earlier = state.motion.first_motion or (frame.number, None)
     is_continuing = number < frame.number and is_continuing_motion(earlier, initial_motion.motion)
-    is_confirmed = len(context.rig) == 1 or initial_motion.n_cameras > 2 or is_continuing
+    is_sufficient = len(context.rig) == 1 or initial_motion.n_cameras > 2
+    _, n_central, _, n_central_others = counts
+    is_central = state.object.is_bounded and n_central >= n_central_others
+    is_confirmed = is_sufficient or is_continuing or is_central
     if is_observable and is_confirmed and state.object.is_depth_guessed:
         known = initial_motion.estimate_pose(first.world_from_object, state.object.radius)
         state = replace(state, motion=replace(state.motion, independent_pose=known))
@@ -258,11 +261,23 @@ def _report_box_motion(camera: Camera, points: FloatArray, pairs: Pairs, static_
     return BoxMotionReport(counts[0], pixels[0], pixels[0] <= static_px, counts[1], pixels[1])
 
 
-def _is_at_edges(context: Context, state: JointState, pairs: CameraPairs, motion: FirstMotion) -> bool:
+def _is_at_edges(counts: IntArray) -> bool:
     """Return whether a motion since the first frame is that of something at the edges of the boxes.
 
     Its matches are at the centers less often than if they were spread evenly, by three standard deviations, and less often
     than those of what does not follow it: the object, which moves slowly before a person.
+
+    Args:
+        counts: of `_count_all_central`.
+    """
+    n, n_central, n_others, n_central_others = counts
+    share = CENTER_RATIO**2
+    least = share * n - 3.0 * np.sqrt(share * (1.0 - share) * n)
+    return bool(n_central < least and n_central * n_others < n_central_others * n)
+
+
+def _count_all_central(context: Context, state: JointState, pairs: CameraPairs, motion: FirstMotion) -> IntArray:
+    """Count the matched features of the first frame that follow a motion, and the others: all, and those at the centers.
 
     Args:
         pairs: per camera, local: the matches.
@@ -271,17 +286,13 @@ def _is_at_edges(context: Context, state: JointState, pairs: CameraPairs, motion
     regions = context.project_regions(state, first.world_from_object)
     sides = zip(context.cameras, regions, pairs, motion.inliers, strict=True)
     own_counts = [_count_central(camera, region, first.number, own, inliers) for camera, region, own, inliers in sides]
-    counts = np.array(context.executor.gather(own_counts, (0, 0, 0, 0))).sum(axis=0)
-    (n, n_central), (n_others, n_central_others) = counts[:2], counts[2:]
-    share = CENTER_RATIO**2
-    least = share * n - 3.0 * np.sqrt(share * (1.0 - share) * n)
-    return bool(n_central < least and n_central * n_others < n_central_others * n)
+    return np.asarray(np.array(context.executor.gather(own_counts, (0, 0, 0, 0))).sum(axis=0))
 
 
 def _count_central(
     camera: CameraTracker, region: Region, first_number: int, pairs: Pairs, inliers: Pairs
 ) -> tuple[int, int, int, int]:
-    """Count the matched features of the first frame that follow a motion, and the others: all, and those at the center."""
+    """Count one camera's features for `_count_all_central`."""
     if region is None or first_number not in camera.frames:
         return 0, 0, 0, 0
     features = camera.frames[first_number].features
