@@ -133,7 +133,7 @@ def _update_depth(
     # With two cameras another motion may fit as well, of two bodies, unless most of what is at the centers of the boxes
     # follows it. It differs in each frame; a frame may be examined more than once.
     number, earlier = state.motion.first_motion or (frame.number, None)
-    is_continuing = number < frame.number and is_continuing_motion(earlier, initial_motion.motion)
+    is_continuing = number != frame.number and is_continuing_motion(earlier, initial_motion.motion)
     is_sufficient = len(context.rig) == 1 or initial_motion.n_cameras > 2
     _, n_central, _, n_central_others = counts
     is_central = state.object.is_bounded and n_central >= n_central_others
