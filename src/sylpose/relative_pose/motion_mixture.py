@@ -36,7 +36,6 @@ from sylpose.relative_pose.camera_evidence import cross_rows, linearize_distance
 from sylpose.relative_pose.irls import (
     MISMATCH_RANGE,
     IrlsFit,
-    copy_fit,
     make_empty_irls_fit,
     make_irls_start,
     run_irls,
@@ -633,8 +632,8 @@ def _is_valid_mixture(
     """Return whether enough moving matches agree with the motion, beyond chance."""
     if not mixture.moving_probability.sum() >= MIN_MOVING_MATCHES:
         return False
-    others, fit = usable & (mixture.static_probability < 0.5), make_empty_irls_fit(stack)
-    copy_fit(fit, mixture.fit)
+    others = usable & (mixture.static_probability < 0.5)
+    fit = make_irls_start(stack, mixture.fit.candidate, mixture.fit.sigma_px)
     _, _, cost = run_irls(stack, others.astype(np.float64), fit, SIGMA_FLOOR_PX)
     return exceeds_chance(stack, others, float(cost), int((fit.weights > 0.0).sum()), guesses, rng)
 

@@ -185,7 +185,7 @@ def exceeds_chance(
     # One or two matches of a camera cannot be permuted.
     indices = [first + np.flatnonzero(usable[first:last]) for first, last in pairwise(stack.offsets.tolist())]
     permuted, is_permuted = [index for index in indices if len(index) > 2], np.zeros(len(usable), bool)
-    n, unknowns = int(usable.sum()), N_MOTION + sum(map(bool, map(len, indices))) * (DEPTH_MODEL_SIZE + 1)
+    n, unknowns = int(usable.sum()), N_MOTION + sum(len(index) > 0 for index in indices) * (DEPTH_MODEL_SIZE + 1)
     choices = -betaln(inliers + 1.0, n - inliers + 1.0) - np.log(n + 1.0)
     # As many inliers as unknowns can be selected, and as many again.
     is_majority = inliers >= MOST * n and inliers > 2 * N_MOTION
