@@ -161,6 +161,27 @@ def test_errors_common_to_frames_keep_their_share_of_the_tracked_covariance() ->
         assert (least < 0.1) == (share == 0.0)
 
 
+def test_change_beyond_the_tracked_uncertainty_is_part_of_the_covariance() -> None:
+    turned, k = make_tracks(), 12
+    pose = turned[k].pose
+    assert pose.world_from_object is not None
+    turn = Rotation.from_rotvec([0.0, 0.04, 0.0])  # 13 standard deviations
+    there = RigidTransform.from_components(pose.world_from_object.translation, turn * pose.world_from_object.rotation)
+    turned[k] = replace(turned[k], pose=replace(pose, world_from_object=there))
+    plain, found = smooth_tracks(make_tracks(), RIG), smooth_tracks(turned, RIG)
+    refined = found.poses[k]
+    assert refined.world_from_object is not None
+    change = (refined.world_from_object.rotation * there.rotation.inv()).as_rotvec()
+    assert change[1] == pytest.approx(-0.04, abs=0.015)
+    added = refined.covariance - plain.poses[k].covariance
+    np.testing.assert_allclose(added[:3, :3], np.outer(change, change), atol=1e-6)
+    # No other frame is affected, nor any where the rig is estimated as well, which moves poses.
+    for other in {*range(1, FRAMES)} - {k}:
+        assert np.trace(found.poses[other].covariance) < 1.1 * np.trace(plain.poses[other].covariance)
+    recalibrated = smooth_tracks(turned, RIG, calibration_prior=default_calibration_prior(RIG), recalibrate=True)
+    assert recalibrated.poses[k].covariance[1, 1] < 0.1 * added[1, 1]
+
+
 def test_smoothing_recovers_uncertain_rotations_without_raising_their_status() -> None:
     frames = [with_uncertain_rotation(f, 8.0) if 8 <= k < 16 else f for k, f in enumerate(make_tracks())]
     found = smooth_tracks(frames, RIG)

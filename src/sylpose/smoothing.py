@@ -29,6 +29,7 @@ from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes, corr
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import enlarge_covariance
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
 from sylpose.relative_pose.camera_evidence import pool_f_ratios
 from sylpose.results import FramePose, Trajectory
@@ -36,7 +37,7 @@ from sylpose.rig import Rig
 from sylpose.status import FrameStatus, Observability, Status
 from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.context import TrackedFrame
-from sylpose.tracking.joint_side.joint_state import Nudge, inherit_covariance
+from sylpose.tracking.joint_side.joint_state import Nudge, compute_pose_change, inherit_covariance
 from sylpose.tracking.known_object import TransferredObject
 from sylpose.tracking.reports import quantize_positions
 from sylpose.units import INITIAL_DISTANCES
@@ -47,6 +48,9 @@ from sylpose.units import INITIAL_DISTANCES
 MIN_TRACK_LENGTHS, ENOUGH_OBSERVATIONS, FEW_OBSERVATIONS = (8, 5, 2), 100, 30
 # Reason of frames that the refined path does not explain.
 LOST_REASON = "most observations contradict the refined path"
+# Squared change of a pose by the refinement, relative to its covariance as tracked, above which it is not explained
+# (chi-squared of six: chance exceeds it once in a thousand times).
+MAX_CHANGE = chi_squared_bound(6)
 # Measured poses on each side of a gap that determine the interpolating curve (choice).
 N_NEIGHBORS = 3
 
@@ -217,7 +221,9 @@ def smooth_tracks(
     if result.status is not Status.OK:  # no estimate: everything remains as tracked
         poses = _extend_contradiction(poses, frames)
         return SmoothedTrajectory(tuple(poses), result.status, zeros, zeros, result.sigma_px[:n], result.iterations)
-    poses = _extend_contradiction(_apply_result(frames, used, observations, result, n), frames)
+    poses = _extend_contradiction(
+        _apply_result(frames, used, observations, result, n, estimates_rig=estimates_rig), frames
+    )
     return SmoothedTrajectory(
         tuple(poses),
         result.status,
@@ -267,12 +273,19 @@ def _check_arguments(
 
 
 def _apply_result(
-    frames: Sequence[Track], used: Sequence[int], observations: Observations, result: BundleResult, cameras: int
+    frames: Sequence[Track],
+    used: Sequence[int],
+    observations: Observations,
+    result: BundleResult,
+    cameras: int,
+    *,
+    estimates_rig: bool,
 ) -> list[FramePose]:
     """Return the poses of all frames, with those of the used ones refined.
 
     Args:
         observations: of the rig's cameras, before those that were moved became two.
+        estimates_rig: whether the rig or the clocks of its cameras were estimated as well.
     """
     poses = [frame.pose for frame in frames]
     counts, residuals = _count_camera_inliers(result, observations, len(used), cameras)
@@ -291,6 +304,8 @@ def _apply_result(
     has_common[0] = False  # the reference
     for i in np.flatnonzero(has_common).tolist():
         covariance[i] = enlarge_covariance(covariance[i], share * tracked_covariance[i])
+    if not estimates_rig:  # its corrections move poses
+        covariance += _measure_unexplained_changes(frames, used, result)
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
     for i, k in enumerate(used[1:], start=1):
@@ -309,6 +324,25 @@ def _apply_result(
         elif is_lost_frame[k] and poses[k].status is not FrameStatus.FIRST:
             poses[k] = replace(poses[k], status=FrameStatus.CONTRADICTED, reason=poses[k].reason or LOST_REASON)
     return _fill_gaps(poses, [frame.pose for frame in frames], is_refined, is_lost_frame)
+
+
+def _measure_unexplained_changes(frames: Sequence[Track], used: Sequence[int], result: BundleResult) -> FloatArray:
+    """Return the squared changes (n, 6, 6) of poses by the refinement; zero if their uncertainty as tracked explains them.
+
+    Both estimates use the same observations, so the change is at most as uncertain as the pose as tracked, unless their
+    model is wrong: of a body that is not rigid each may follow another part.
+
+    Source: J. A. Hausman, Econometrica 46, 1978.
+    """
+    out = np.zeros((len(used), 6, 6))
+    for i, k in enumerate(used[1:], start=1):
+        pose, covariance = frames[k].pose.world_from_object, frames[k].pose.covariance
+        if pose is None or frames[k].is_fixed or not result.connected[i] or not np.isfinite(covariance).all():
+            continue
+        change = compute_pose_change(pose, result.world_from_object[i])
+        if change @ np.linalg.solve(covariance, change) > MAX_CHANGE:
+            out[i] = np.outer(change, change)
+    return out
 
 
 def _extend_contradiction(poses: list[FramePose], frames: Sequence[Track]) -> list[FramePose]:
