@@ -146,15 +146,16 @@ def test_rigs_that_are_wrong_as_a_whole_contradict_themselves(
     corrupt: Callable[[Rig, Sequence[Matches]], tuple[Rig, list[Matches]]],
 ) -> None:
     ratios = []
-    for seed in (1, 3, 5, 7, 9, 11):  # on an arc at different heights: no symmetry hides the fault
+    for seed in range(1, 81, 2):  # on an arc at different heights: no symmetry hides the fault
         rig, matches, _ = make_pair(4, seed)
         terms = make_terms(*corrupt(rig, matches))
         center, radius = locate_object(make_terms(rig, matches))
         fit = fit_terms(terms, center, radius, [], np.random.default_rng(0))
         evidence = [measure_evidence(term, center, fit.rotation, fit.translation) for term in terms]
         ratios.append(get_f_ratio(evidence))
-    assert min(ratios) > 4.0
-    assert np.median(ratios) > 20.0
+    assert np.isnan(ratios).sum() <= 4  # no rigid motion is found, or hardly any camera has one
+    assert np.nanmin(ratios) > 4.0
+    assert np.nanmedian(ratios) > 20.0
 
 
 @pytest.mark.parametrize("corrupt", [freeze_one, mirror_one])

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.relative_pose.affine_ransac import SEED_THRESHOLD_PX
-from sylpose.relative_pose.irls import MAX_SIGMA_GROWTH, IrlsFit, make_irls_start, run_irls
-from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
+from sylpose.relative_pose.irls import IrlsFit, _measure_complexity, make_irls_start, run_irls
+from sylpose.relative_pose.limits import MAX_SIGMA_GROWTH, SIGMA_FLOOR_PX
 from sylpose.relative_pose.planes import fit_edge_on, is_flat
 from sylpose.relative_pose.robust_fit import draw_and_fit
 from sylpose.relative_pose.terms import Stack, locate_object, stack_initial_motions, stack_terms
@@ -211,3 +212,15 @@ def test_information_without_depth_prior_is_smaller() -> None:
             assert np.linalg.eigvalsh(known - alone).min() > -1e-6
             if n == 1:
                 assert np.linalg.eigvalsh(alone)[0] < 1e-3 * np.linalg.eigvalsh(known)[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_complexity_is_that_of_the_marginal_likelihood(seed: int) -> None:
+    """It is the logarithm of the prior's density over the posterior's at their peaks, which also SciPy computes."""
+    a, b = np.random.default_rng(seed).normal(size=(2, 6, 9))
+    prior = a @ a.T
+    posterior = prior + b @ b.T
+    peaks = [multivariate_normal(cov=np.linalg.inv(p)).logpdf(np.zeros(6)) for p in (posterior, prior)]
+    found = _measure_complexity(np.linalg.cholesky(posterior), prior, np.empty((6, 6)))
+    assert found == pytest.approx(peaks[0] - peaks[1], rel=1e-9)
+    assert _measure_complexity(np.linalg.cholesky(posterior), -prior, np.empty((6, 6))) == np.inf

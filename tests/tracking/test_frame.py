@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import Features
@@ -20,6 +22,7 @@ from sylpose.tracking.camera_side.frame import (
     FrameMatches,
     find_background,
     find_static,
+    is_explained_by_chance,
     mark_background,
     match_frames,
     select_inliers,
@@ -27,6 +30,7 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.frame_solvers import compute_reference_motion
 from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame, compute_viewpoints
+from sylpose.tracking.reports import InlierStatistics
 from tests.scenes import compute_epipolar_px
 
 RADIUS = 0.15
@@ -287,3 +291,47 @@ def test_term_of_older_reference_has_same_motion(rig: Rig, steps_back: int) -> N
         # Another motion does.
         other = Rotation.from_rotvec([0.02, 0, 0.02]).as_matrix() @ rotation
         assert np.abs(compute_epipolar_px(term, center, other, translation)).max() > 1
+
+
+# --- chance -------------------------------------------------------------------------------------------------------------
+
+
+def fit_random_matches(rng: np.random.Generator, n: int, n_unknowns: int, width: float) -> int:
+    """Return the largest number of n random equations, all of the same range, that one of many solutions fulfills.
+
+    Each solution fulfills as many randomly selected equations as there are unknowns exactly, others within `width`.
+    """
+    equations, right, largest = rng.standard_normal((n, n_unknowns)), rng.uniform(-1.0, 1.0, n), 0
+    for _ in range(300):
+        chosen = rng.choice(n, n_unknowns, replace=False)
+        solution = np.linalg.lstsq(equations[chosen], right[chosen], rcond=None)[0]
+        # In (-1, 1) as the right sides, so that the probability is the width.
+        reached = np.mod(equations @ solution + 1.0, 2.0) - 1.0
+        largest = max(largest, int((np.abs(reached - right) < width).sum()))
+    return largest
+
+
+@pytest.mark.parametrize("n", [40, 80, 200])
+@pytest.mark.parametrize("width", [0.01, 0.1, 0.3])
+def test_best_of_random_matches_is_chance(n: int, width: float) -> None:
+    for seed in range(5):
+        inliers = fit_random_matches(np.random.default_rng(seed), n, 9, width)
+        assert is_explained_by_chance([InlierStatistics(inliers, inliers, n, width * n, 3)])
+
+
+@given(n=st.integers(30, 1000), share=st.floats(0.3, 0.7), probability=st.floats(1e-4, 0.02), cameras=st.integers(1, 3))
+def test_many_exact_inliers_are_no_chance(n: int, share: float, probability: float, cameras: int) -> None:
+    inliers = round(share * n)
+    own = [InlierStatistics(inliers, inliers, n, probability * n, 3)] * cameras
+    assert not is_explained_by_chance(own) or inliers * cameras < 2 * (6 + 3 * cameras)
+    # More of them are no worse evidence, a larger probability is no better.
+    more = [replace(one, n_inlier_features=inliers + 1) for one in own]
+    likelier = [replace(one, expected_by_chance=2.0 * probability * n) for one in own]
+    assert is_explained_by_chance(own) or not is_explained_by_chance(more)
+    assert is_explained_by_chance(likelier) or not is_explained_by_chance(own)
+
+
+def test_chance_without_matches_or_with_as_many_as_unknowns() -> None:
+    assert is_explained_by_chance([InlierStatistics(9, 9, 30, 1e-9, 3)])
+    assert not is_explained_by_chance([InlierStatistics(10, 10, 30, 0.0, 3)])
+    assert not is_explained_by_chance([InlierStatistics(27, 27, 30, 9.0, 3)])

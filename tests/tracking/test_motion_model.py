@@ -9,13 +9,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
+from sylpose.relative_pose.limits import CUTOFF
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.tracking.joint_side.joint_state import (
     AVERAGING_FRAMES,
     MAX_PREDICTION_ERROR,
     MIN_INTERVAL_RATIO,
-    PREDICTION_SDS,
     MotionModel,
     SolvedFrame,
     synchronize_rig,
@@ -45,9 +45,7 @@ def make_steady_model(frames: int = AVERAGING_FRAMES) -> MotionModel:
 
 def prediction_information(elapsed: float) -> FloatArray:
     """(6, 6) information of the prediction of `make_steady_model`."""
-    return np.asarray(
-        np.diag(np.repeat([(PREDICTION_SDS * elapsed * 0.01) ** -2, (PREDICTION_SDS * elapsed * 0.002) ** -2], 3))
-    )
+    return np.asarray(np.diag(np.repeat([(CUTOFF * elapsed * 0.01) ** -2, (CUTOFF * elapsed * 0.002) ** -2], 3)))
 
 
 def add_error(velocity: MotionModel, error: FloatArray, elapsed: float = DT) -> tuple[FloatArray, FloatArray]:
@@ -226,7 +224,7 @@ def test_contradicting_matches_override_prediction(part: int, scale: float, shar
     """The object has started, stopped or reversed: on both sides of the chi-squared bound."""
     velocity, sharp = make_steady_model(), 1e14 * np.eye(6)
     error = np.zeros(6)
-    error[part] = share * np.sqrt(MAX_PREDICTION_ERROR) * PREDICTION_SDS * DT * scale
+    error[part] = share * np.sqrt(MAX_PREDICTION_ERROR) * CUTOFF * DT * scale
     rotation, translation = add_error(velocity, error)
     _, _, information = velocity.fuse(rotation, translation, sharp, CENTER, DT)
     assert (information is not sharp) == counts

@@ -19,6 +19,8 @@ T = TypeVar("T")
 
 # Largest coordinate: its fourth power, and sums of very many, are in range (choice).
 MAX_MAGNITUDE = 1e30
+# Largest offset of a camera's time stamps, seconds: manually set clocks are hours apart (choice).
+MAX_TIME_OFFSET = 86_400.0
 # Largest deviation of a rotation from an orthogonal matrix, from rounding (choice).
 ORTHOGONALITY_TOLERANCE = 1e-6
 _INFINITY = float("inf")

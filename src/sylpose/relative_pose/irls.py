@@ -26,6 +26,7 @@ from sylpose.relative_pose.limits import (
     HALF_DIGITS,
     MAX_ROTATION_STEP,
     MAX_ROUNDS,
+    MAX_SIGMA_GROWTH,
     MIN_SHARE,
 )
 from sylpose.relative_pose.match_cost import (
@@ -56,8 +57,6 @@ MAX_DEPTH_CHANGE = 0.5
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
-# Upper bound of the noise relative to that of the seeds: otherwise noise would explain two motions, or none (choice).
-MAX_SIGMA_GROWTH = 2.0
 # One keypoint in ten is this many times as noisy as the others (choice). Otherwise a motion with more noise, which reaches
 # some of these keypoints, would be likelier than the right one with less noise: the second plane of a flat object, for
 # example.

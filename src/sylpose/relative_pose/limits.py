@@ -18,8 +18,8 @@ CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
 # A fit whose last step was one standard deviation long has not converged, and its planar part needs no more: half of the
 # square (derived).
 DECREASE_OF_ONE_SD = 0.5
-# Maximum number of rounds of a solver, and of one that finds a start for another, or a camera's own motion (choice).
-MAX_ROUNDS, MAX_STEPS = 40, 20
+# Maximum number of rounds of a solver (choice).
+MAX_ROUNDS = 40
 # Largest rotation of a step, radians: the range in which the derivatives are valid (choice).
 MAX_ROTATION_STEP = 0.3
 # What exceeds so many standard deviations is no chance (choice): an error, or the number of matches that moved (at 3, 5 of
@@ -33,6 +33,8 @@ MIN_SHARE = 1.0 / 3.0
 MOST = 1.0 - MIN_SHARE
 # Probability of a mismatch (choice).
 MISMATCH_PROBABILITY = 0.05
+# Upper bound of the noise relative to that of the seeds: otherwise noise would explain two motions, or none (choice).
+MAX_SIGMA_GROWTH = 2.0
 # Smaller errors of images, pixels, are no evidence: rounding, lenses, perspective (choice).
 MIN_ERROR_PX = 0.15
 # Lower bound of the noise, pixels: exact matches, and those of frozen images, have none (choice).

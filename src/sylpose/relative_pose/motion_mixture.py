@@ -334,7 +334,8 @@ MAX_MOVED_SQUARE = 200.0
 # Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
 # to 4 px without a background 2.1 at most in 24 scenes).
 MIN_LIKELIHOOD_GAIN = 3.0
-# Least number of matches of a body that moves, or of inliers by which a camera shows it (choice).
+# Least number of matches of a body that moves, or of inliers by which a camera shows it: as many as a fit needs, and as many
+# again (derived).
 MIN_MOVING_MATCHES = 2 * MIN_MATCHES
 # Factors by which the motion of a part may exceed that of all matches (choice).
 MOTION_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0)

@@ -50,8 +50,8 @@ FramePair = Sequence[CameraMatches]
 # Number of cameras up to which all combinations are tried: orders, 23, of more only pairwise exchanges and cyclic shifts;
 # and pairs of those that see two bodies, any one of which may suffice (choice).
 MAX_COMBINED = 4
-# A hypothesis explains a contradiction if it reduces the F ratio to at most this value (choice: right hypotheses have at
-# most 1.4, others at least 3; docs/calibrating.md).
+# A hypothesis explains a contradiction if it reduces the F ratio to at most this value (measured: right hypotheses have
+# at most 1.4, others at least 3; docs/calibrating.md).
 MAX_AGREEING = 2.0
 # Other axes of pixels explain the contradiction of one pair of frames if they reduce the F ratio by at least this factor
 # (measured: right motions seem to be explained by 4 at most, wrong axes are by 11 and more: docs/history/benchmarks.md).

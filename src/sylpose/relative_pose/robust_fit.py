@@ -12,7 +12,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel
 from sylpose.relative_pose.affine_ransac import N_QUADRUPLES, SEED_THRESHOLD_PX, find_inliers
 from sylpose.relative_pose.irls import (
-    MAX_SIGMA_GROWTH,
     N_MOTION,
     IrlsFit,
     copy_fit,
@@ -24,6 +23,7 @@ from sylpose.relative_pose.limits import (
     CONVERGED_DECREASE,
     HALF_DIGITS,
     MAX_ROUNDS,
+    MAX_SIGMA_GROWTH,
     MIN_ERROR_PX,
     MOST,
     SIGMA_FLOOR_PX,

@@ -22,7 +22,7 @@ from sylpose.relative_pose.limits import (
     DECREASE_OF_ONE_SD,
     MAX_ROTATION_STEP,
     MAX_ROUNDS,
-    MAX_STEPS,
+    MAX_SIGMA_GROWTH,
     ROUGHLY_CONVERGED_DECREASE,
 )
 from sylpose.relative_pose.moments_cost import (
@@ -46,8 +46,8 @@ CHECK_STEPS, MAX_LIKELIHOOD_GAP = 3, 300.0
 # (choice).
 SAME_MOTION = 0.01
 # A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
-# (choice).
-MAX_COST_RATIO = 4.0
+# (derived: the square of the largest growth of the noise).
+MAX_COST_RATIO = MAX_SIGMA_GROWTH**2
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
 # Maximum number of minima (choice: docs/history/benchmarks.md).
@@ -301,7 +301,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     for start in range(1 + n_guesses + len(RANDOM_ROTVECS)):
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            count, _, _ = descend(stack, sums, True, MAX_STEPS, candidate, INITIAL_DAMPING, workspace)
+            count, _, _ = descend(stack, sums, True, MAX_ROUNDS, candidate, INITIAL_DAMPING, workspace)
         elif start <= n_guesses:
             guess = start - 1
             candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
@@ -316,7 +316,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
                 count += done
         decrease, damping = np.inf, INITIAL_DAMPING
         dropped = _is_known(candidate, minima)
-        for k in range(MAX_STEPS):
+        for k in range(MAX_ROUNDS):
             # Stop a start that approaches a known minimum or is far behind the best.
             if dropped or decrease < ROUGHLY_CONVERGED_DECREASE:
                 break

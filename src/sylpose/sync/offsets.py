@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.geometry.validation import check_number, check_type, format_value
+from sylpose.geometry.validation import MAX_TIME_OFFSET, check_number, check_type, format_value
 from sylpose.input_limits import input_errors, parse_toml, read_text
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
@@ -18,8 +18,6 @@ from sylpose.io.capture.names import match_all_names
 from sylpose.sync.speed_correlation import split_offsets
 
 OFFSETS_FILE = "offsets.toml"
-# Largest offset, seconds: manually set clocks are hours apart (choice).
-MAX_OFFSET = 86_400.0
 
 
 def load_offsets(path: Path, cameras: Sequence[str]) -> dict[str, float]:
@@ -44,7 +42,7 @@ def load_offsets(path: Path, cameras: Sequence[str]) -> dict[str, float]:
             raise ValueError(f"lines such as cam_0 = 0.0042 are expected ({error})") from None
         names = match_all_names(data, cameras, path)
         for name, value in data.items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_OFFSET:
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_TIME_OFFSET:
                 raise ValueError(f"the offset of {name} must be a number of seconds (at most a day), got {value!r}")
         return {camera: float(data[name]) for name, camera in names.items()}
 
@@ -86,7 +84,7 @@ def apply_offsets(session: Session, offsets: Mapping[str, float]) -> Session:
     for name, value in check_type(offsets, Mapping, "offsets").items():
         if name not in session.rig.names and name not in session.without:
             raise ValueError(f"offsets: no camera {format_value(name)} in the rig ({', '.join(session.rig.names)})")
-        check_number(value, f"offsets: {name}", minimum=-MAX_OFFSET, maximum=MAX_OFFSET)
+        check_number(value, f"offsets: {name}", minimum=-MAX_TIME_OFFSET, maximum=MAX_TIME_OFFSET)
     delays = np.array([float(offsets.get(name, 0.0)) for name in session.rig.names])
     if not delays.any():
         return session

@@ -35,7 +35,6 @@ from sylpose.tracking.camera_side.camera import (
 from sylpose.tracking.camera_side.frame import (
     MAJORITY,
     PREDICTED_RADIUS,
-    SELECTED_PER_UNKNOWN,
     SOLVED_RADIUS,
     CameraPairs,
     FrameMatches,
@@ -78,8 +77,9 @@ TRANSLATION_RADIUS = 1.0
 # Number of translations compared, each of two matches: if a tenth of the matches are true, the probability that no sample
 # has two of them is 0.7 % (derived).
 N_TRANSLATIONS = 500
-# Excess features of a wrong pose over chance, since it was fitted to them (derived).
-SELECTION_BIAS = 6 * SELECTED_PER_UNKNOWN
+# Excess features of a wrong pose over chance, since it was fitted to them: as many as unknowns, and as many again by
+# selection (derived).
+SELECTION_BIAS = 2 * 6
 # With all features, static ones in the regions agree with each other, and only those once the object has left: this
 # share of a pose's inliers must be moving (measured: 0.97 and more of true poses of benchmarks/kinds.py faint-jumps and
 # jumps-25, 0.05 to 0.18 of an empty room's in back) (choice).

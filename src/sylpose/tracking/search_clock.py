@@ -17,7 +17,8 @@ import numpy as np
 MAX_LATE_INTERVALS = 2.0
 # Number of frames over which the interval is measured (choice: two seconds).
 N_RECENT = 64
-# The clocks of cameras and of this computer drift apart by at most this share (choice: twice that of usual crystals).
+# The clocks of cameras and of this computer drift apart by at most this share (derived: crystals are off by 100 ppm at most,
+# in opposite directions).
 MAX_DRIFT = 2e-4
 # Quantile of the recent differences between frame times that is the interval: dropped frames lengthen them (choice).
 INTERVAL_QUANTILE = 0.25

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import UNNUMBERED, Box, FrameSet, check_frame_set
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.validation import check_integer, check_number, check_type, format_value
+from sylpose.geometry.validation import MAX_TIME_OFFSET, check_integer, check_number, check_type, format_value
 from sylpose.input_limits import to_one_line
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.rig import Rig
@@ -39,8 +39,6 @@ from sylpose.tracking.known_object import (
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.search_clock import SearchClock
 from sylpose.tracking.state_machine import add_nudge_faults, process_frame
-
-MAX_TIME_OFFSET = 1e6  # seconds: cameras of one recording start within days of each other (choice)
 
 
 class TrackerSnapshot(NamedTuple):

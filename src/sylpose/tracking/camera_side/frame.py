@@ -13,12 +13,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.special import gammaln
 
 from sylpose.features.patches import find_unmoved
 from sylpose.features.sift import Features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import rotation_matrix_of
-from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, chi_squared_bound
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, SIGNIFICANCE, chi_squared_bound
 from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, LandmarkTable
@@ -39,10 +40,8 @@ DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 MAX_RELATIVE_DEPTH_SD = 0.1
 # An outline (k, 2) in pixels; None: out of view.
 Region = FloatArray | None
-# Margin of the object's search region, as a share of its size in the image (choice).
-REGION_MARGIN = 0.15
-# Search radius around a landmark's projection, as a share of the object's radius in the image: at a predicted pose, and at a
-# solved one (choice).
+# Search radius around a landmark's projection, as a share of the object's radius in the image: at a predicted pose, which
+# is also the margin of the object's search region, and at a solved one (choice).
 PREDICTED_RADIUS, SOLVED_RADIUS = 0.15, 0.03
 # Directions in which an outline is dilated (choice).
 DILATION_DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
@@ -59,9 +58,6 @@ MIN_EVIDENCE_WEIGHT = 0.06
 # An inlier share this large does not occur by chance; at 0.7 another body in the same place is tracked (measured:
 # tests/tracking/test_disturbed.py) (choice).
 MIN_CERTAIN_INLIER_RATIO = 0.8
-# Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
-# single one (choice).
-SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
 # More than this share is most: of a landmark's displacement, which has to be explained by the object's motion, and of the
 # weight of features, which noise reduces (choice).
 MAJORITY = 0.5
@@ -543,15 +539,21 @@ def compute_inlier_statistics(
 def is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
     """Return whether random matches would agree with a pose about as often.
 
-    The pose has six unknowns, plus those of each camera's depth model. The best of many poses has more inliers than any
-    single one by chance, hence the factor. It always satisfies as many matches as there are unknowns, and as many again by
-    selection.
+    The number of false alarms is the expected number of choices of inliers, and of as many of them as there are unknowns
+    (the pose's and those of each camera's depth model), with which all other inliers agree by chance.
+
+    Source: Moisan & Stival, a contrario RANSAC, 2004.
     """
     inliers, tried = sum(one.n_inlier_features for one in statistics), sum(one.n_features for one in statistics)
+    if inliers >= MIN_CERTAIN_INLIER_RATIO * tried:
+        return False
     n_unknowns = 6 + sum(one.n_unknowns for one in statistics)
-    expected = sum(one.expected_by_chance for one in statistics)
-    by_chance = SELECTED_PER_UNKNOWN * n_unknowns + CHANCE_FACTOR * expected
-    return inliers < MIN_CERTAIN_INLIER_RATIO * tried and not inliers > by_chance
+    if inliers <= n_unknowns:
+        return True
+    # The logarithm of the multinomial coefficient: rejected matches, inliers that determine the pose, other inliers.
+    choices = gammaln(tried + 1) - gammaln([tried - inliers + 1, n_unknowns + 1, inliers - n_unknowns + 1]).sum()
+    expected = max(sum(one.expected_by_chance for one in statistics), 1e-12)
+    return bool(choices + (inliers - n_unknowns) * np.log(expected / tried) > np.log(SIGNIFICANCE))
 
 
 def compute_support(observations: LandmarkMatches, weights: FloatArray, residuals: FloatArray) -> float:

@@ -24,7 +24,7 @@ from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of, rotvec
 from sylpose.geometry.numba_linalg import apply_rotvec
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.relative_pose.limits import MISMATCH_PROBABILITY
+from sylpose.relative_pose.limits import CUTOFF, MISMATCH_PROBABILITY
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Camera, Rig
@@ -58,13 +58,11 @@ PREPARATION_MARGIN = 1.5
 RETRY_FRAMES = 8
 # Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
 MAX_SPARSE_AGE = 2
-# Standard deviation of the constant-velocity prior, in units of the usual change of velocity. The prior is used once
-# `AVERAGING_FRAMES` consecutive frames were solved (choice).
-PREDICTION_SDS = 5.0
 # Largest accepted difference between prediction and fit (chi-squared of six: chance exceeds it once in a thousand
 # times).
 MAX_PREDICTION_ERROR = chi_squared_bound(6)
-# Number of frames over which the usual change and a camera's noise are averaged (choice).
+# Number of frames over which the usual change of velocity and a camera's noise are averaged, and after which velocity
+# predicts poses (choice).
 AVERAGING_FRAMES = 5
 # The velocity is not updated from an interval shorter than this share of the usual one (choice).
 MIN_INTERVAL_RATIO = 0.2
@@ -154,7 +152,7 @@ class MotionModel:
         if self.n_frames < AVERAGING_FRAMES or not self.change_variance.any():
             return rotation, translation, information
         error = self._compute_prediction_error(rotation, translation, center, elapsed)
-        sd = np.maximum(PREDICTION_SDS * elapsed * np.sqrt(_sum_by_parts(self.change_variance)), 1e-12)
+        sd = np.maximum(CUTOFF * elapsed * np.sqrt(_sum_by_parts(self.change_variance)), 1e-12)
         prediction, fused_information = np.diag(sd**-2), information + np.diag(sd**-2)
         # error' (covariance of the fit + diag(sd²))^-1 error, without inverting an information matrix that may be
         # singular.
