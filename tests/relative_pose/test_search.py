@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.limits import MAX_ROUNDS
+from sylpose.relative_pose.limits import MAX_STEPS
 from sylpose.relative_pose.moments_cost import (
     MomentSums,
     NormalEquations,
@@ -239,7 +239,7 @@ def test_search_terminates_on_any_input(seed: int) -> None:
     stack = stack_terms(data, pair.center, 0.15)
     found = find_scene_minima(stack, 0.5)[0]
     # The first start has two searches, half of the random ones some steps more.
-    assert found.iterations <= 2 * MAX_ROUNDS + len(RANDOM_ROTVECS) * (MAX_ROUNDS + 0.5 * CHECK_STEPS)
+    assert found.iterations <= 2 * MAX_STEPS + len(RANDOM_ROTVECS) * (MAX_STEPS + 0.5 * CHECK_STEPS)
     np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-6)
     assert np.isfinite(found.translation).all()
 

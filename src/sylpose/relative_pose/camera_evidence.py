@@ -37,7 +37,7 @@ from scipy.special import ndtri
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
-from sylpose.relative_pose.limits import MAX_ROUNDS, MIN_SHARE, ROUGHLY_CONVERGED_DECREASE
+from sylpose.relative_pose.limits import MAX_ROUNDS, MAX_STEPS, MIN_SHARE, ROUGHLY_CONVERGED_DECREASE
 from sylpose.relative_pose.terms import TermData, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
@@ -360,7 +360,7 @@ def _fit_motion(
     translation /= np.sqrt(dot(translation, translation)) + 1e-300
     essential, derivatives = np.empty((3, 3)), np.empty((6, 3, 3))
     factor, step, turned, moved = np.empty((6, 6)), np.empty(6), np.empty((3, 3)), np.empty(3)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_STEPS):
         cross_rows(translation, rotation, essential)
         for k in range(3):
             cross_rows(AXES[k], rotation, derivatives[3 + k])

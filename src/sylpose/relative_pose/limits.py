@@ -18,8 +18,8 @@ CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
 # A fit whose last step was one standard deviation long has not converged, and its planar part needs no more: half of the
 # square (derived).
 DECREASE_OF_ONE_SD = 0.5
-# Maximum number of rounds of a solver (choice).
-MAX_ROUNDS = 40
+# Maximum number of rounds of a solver, and of one that finds a start for another, or a camera's own motion (choice).
+MAX_ROUNDS, MAX_STEPS = 40, 20
 # Largest rotation of a step, radians: the range in which the derivatives are valid (choice).
 MAX_ROTATION_STEP = 0.3
 # What exceeds so many standard deviations is no chance (choice): an error, or the number of matches that moved (at 3, 5 of

@@ -23,6 +23,7 @@ from sylpose.relative_pose.limits import (
     MAX_ROTATION_STEP,
     MAX_ROUNDS,
     MAX_SIGMA_GROWTH,
+    MAX_STEPS,
     ROUGHLY_CONVERGED_DECREASE,
 )
 from sylpose.relative_pose.moments_cost import (
@@ -301,7 +302,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     for start in range(1 + n_guesses + len(RANDOM_ROTVECS)):
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            count, _, _ = descend(stack, sums, True, MAX_ROUNDS, candidate, INITIAL_DAMPING, workspace)
+            count, _, _ = descend(stack, sums, True, MAX_STEPS, candidate, INITIAL_DAMPING, workspace)
         elif start <= n_guesses:
             guess = start - 1
             candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
@@ -316,7 +317,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
                 count += done
         decrease, damping = np.inf, INITIAL_DAMPING
         dropped = _is_known(candidate, minima)
-        for k in range(MAX_ROUNDS):
+        for k in range(MAX_STEPS):
             # Stop a start that approaches a known minimum or is far behind the best.
             if dropped or decrease < ROUGHLY_CONVERGED_DECREASE:
                 break

@@ -548,7 +548,8 @@ def is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
     if inliers >= MIN_CERTAIN_INLIER_RATIO * tried:
         return False
     n_unknowns = 6 + sum(one.n_unknowns for one in statistics)
-    if inliers <= n_unknowns:
+    # As many inliers as unknowns can be selected, and as many again.
+    if inliers <= 2 * n_unknowns:
         return True
     # The logarithm of the multinomial coefficient: rejected matches, inliers that determine the pose, other inliers.
     choices = gammaln(tried + 1) - gammaln([tried - inliers + 1, n_unknowns + 1, inliers - n_unknowns + 1]).sum()

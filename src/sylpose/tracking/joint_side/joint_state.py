@@ -35,9 +35,6 @@ from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
 # After the first frames, a refinement is due once the object has rotated by this since the last one (radians), as less
 # shows little new; at the earliest after `MIN_INTERVAL` frames, at the latest after `MAX_INTERVAL` (choice).
 MIN_INTERVAL, MAX_INTERVAL = 4, 12
-# The result of work in the background is used so many frames later: at 30 frames per second the time needed on a busy
-# processor (choice).
-RESULT_DELAY = 7
 # A frame becomes a keyframe when the object has rotated relative to the nearest one (`TrackingOptions`), or its distance in
 # a camera's view has changed by this factor, that between two layers of SIFT's scales (derived).
 MIN_KEYFRAME_SCALE = 2.0 ** (1.0 / RESPONSE_SCALE)
@@ -54,8 +51,10 @@ MAX_ANCHOR_ROTATION = RING_ANGLES[-1]
 PREPARATION_MARGIN = 1.5
 # Number of frames after which a search is repeated: of a camera without tracks, and where the object was relocalized, but
 # not confirmed. Detection of a camera's motion restarts so many frames after as many of unexplained change, or after too
-# few corners (choice).
+# few corners. Work in the background begins again: at 30 frames per second it takes as long on a busy processor (choice).
 RETRY_FRAMES = 8
+# The result of work in the background is used in the frame before (derived).
+RESULT_DELAY = RETRY_FRAMES - 1
 # Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
 MAX_SPARSE_AGE = 2
 # Largest accepted difference between prediction and fit (chi-squared of six: chance exceeds it once in a thousand
