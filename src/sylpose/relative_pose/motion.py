@@ -19,10 +19,10 @@ from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS
 from sylpose.relative_pose.faulty_cameras import solve_without_faulty_cameras
 from sylpose.relative_pose.observability import classify_observability
-from sylpose.relative_pose.second_motion import change_center, select_larger_body
-from sylpose.relative_pose.solver import fit_terms
+from sylpose.relative_pose.second_motion import select_larger_body
+from sylpose.relative_pose.solver import fit_terms, locate_and_fit
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_estimator
-from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, locate_object, make_failed_fit
+from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, change_center, locate_object, make_failed_fit
 from sylpose.results import Motion
 from sylpose.rig import Rig, check_single_pose
 from sylpose.status import Status
@@ -51,7 +51,8 @@ def estimate_motion(
             depth model).
         initial: initial guess of the motion (while tracking, the previous motion), tried in addition to the built-in
             starts.
-        center: (3,) the object's center in frame i, world; None: the point nearest to the cameras' mean rays.
+        center: (3,) the object's center in frame i, world; None: the point nearest to the cameras' mean rays, at the
+            distance that the matches show.
         radius: approximate radius of the object, length units (twice the median distance of its points from the
             center); None: from the spread of the matches.
         noise_px: (C,) standard deviation of a keypoint coordinate in each camera, pixels; in the rig's order, or a
@@ -115,12 +116,14 @@ def _estimate(
     rng = np.random.default_rng(seed)
 
     def solve(terms: Sequence[TermData], start: Solution | None = None) -> Solution:
-        found_center, found_radius = locate_object(terms)
-        g, size = found_center if center is None else center, found_radius if radius is None else radius
-        guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
+        guesses = [] if initial is None else [(initial.rotation.as_matrix(), initial.translation)]
         if start is not None:
-            guess.append(change_center((start.fit.rotation, start.fit.translation), start.center, g))
-        return Solution(fit_terms(terms, g, size, guess, rng, units.sigma), g, size)
+            guesses.append(change_center((start.fit.rotation, start.fit.translation), start.center, np.zeros(3)))
+        if center is None:
+            return locate_and_fit(terms, guesses, rng, radius, units.sigma)
+        size = locate_object(terms, center)[1] if radius is None else radius
+        guesses = [change_center(guess, np.zeros(3), center) for guess in guesses]
+        return Solution(fit_terms(terms, center, size, guesses, rng, units.sigma), center, size)
 
     solution = solve(data)
     solution, second_body_ratio = select_larger_body(data, solution, rig, solve, units.sigma) or (solution, 0.0)

@@ -23,8 +23,8 @@ from sylpose.relative_pose.camera_evidence import compute_f_ratio, measure_exces
 from sylpose.relative_pose.faulty_cameras import MAX_CONSISTENT_EXCESS, solve_subset
 from sylpose.relative_pose.limits import MAX_SAMPLES
 from sylpose.relative_pose.rig_hypotheses import MAX_AGREEING, find_pixel_axes
-from sylpose.relative_pose.solver import Division, Hypothesis, TwoMotions, divide_inliers, fit_two_motions
-from sylpose.relative_pose.terms import MIN_MATCHES, Fit, Solution, TermData, TermSolver
+from sylpose.relative_pose.solver import Division, TwoMotions, divide_inliers, fit_two_motions
+from sylpose.relative_pose.terms import MIN_MATCHES, Fit, Solution, TermData, TermSolver, change_center
 from sylpose.rig import Rig
 from sylpose.status import Status
 
@@ -131,12 +131,6 @@ def _measure_displacement(data: Sequence[TermData], masks: Sequence[BoolArray]) 
     """Return the median displacement of the masked matches, pixels."""
     parts = [term.focal * np.linalg.norm(term.y[m] - term.x[m], axis=1) for term, m in zip(data, masks, strict=True)]
     return float(np.median(np.concatenate(parts)))
-
-
-def change_center(motion: Hypothesis, center: FloatArray, new_center: FloatArray) -> Hypothesis:
-    """Return a motion (R, d) about another center."""
-    rotation, translation = motion
-    return rotation, translation + (rotation - np.eye(3)) @ (new_center - center)
 
 
 def _divide_outliers(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> list[Division]:

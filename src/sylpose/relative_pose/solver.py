@@ -32,12 +32,15 @@ from sylpose.relative_pose.planes import fit_edge_on, is_flat
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit, exceeds_chance
 from sylpose.relative_pose.terms import (
     DEPTH_MODEL_SIZE,
+    MAX_INVERSE_DEPTH_SD,
     MIN_MATCHES,
     Candidate,
     Fit,
+    InitialMotions,
     Solution,
     Stack,
     TermData,
+    change_center,
     find_usable,
     locate_object,
     make_failed_fit,
@@ -62,6 +65,7 @@ class _Problem(NamedTuple):
         center: (3,) g, the object's center at the motion's start.
         radius: of the object.
         usable: (N,) matches that may be inliers.
+        is_relocated: whether the depths of a fit, not the rays, determine the distance of the center.
     """
 
     data: Sequence[TermData]
@@ -69,6 +73,7 @@ class _Problem(NamedTuple):
     center: FloatArray
     radius: float
     usable: BoolArray
+    is_relocated: bool = False
 
     def diagnose(self, fit: IrlsFit, probabilities: FloatArray) -> FitDiagnostics:
         """Compute the diagnostics of a fit."""
@@ -107,11 +112,74 @@ def fit_terms(
     """
     if sum(len(term) for term in data) < MIN_MATCHES:
         return make_failed_fit(data, Status.TOO_FEW_MATCHES)
-    stack = stack_terms(data, center, radius, min_sigma_px)
+    problem, starts = _make_problem(data, center, radius, min_sigma_px), stack_initial_motions(guesses)
+    return _build_best_fit(problem, draw_and_fit(problem.stack, problem.usable, starts, rng), starts, rng)
+
+
+def locate_and_fit(
+    data: Sequence[TermData],
+    guesses: Sequence[Hypothesis],
+    rng: np.random.Generator,
+    radius: float | None = None,
+    min_sigma_px: float = 0.0,
+) -> Solution:
+    """Locate an object and fit one robust motion to all terms, as `fit_terms` does.
+
+    The object is where the cameras' rays meet (`locate_object`). The rays of cameras close together hardly determine its
+    distance, but the depths that follow from the motion do: where they contradict it, the search is repeated at theirs.
+
+    Args:
+        data: T terms with at least one match each.
+        guesses: (R, d) initial motions about the world's origin, in addition to the built-in ones.
+        rng: random source.
+        radius: of the object; None: from the spread of the matches.
+        min_sigma_px: lower bound of the noise, pixels.
+    """
+    center, found_radius = locate_object(data)
+    size, origin = found_radius if radius is None else radius, np.zeros(3)
+    if sum(len(term) for term in data) < MIN_MATCHES:
+        return Solution(make_failed_fit(data, Status.TOO_FEW_MATCHES), center, size)
+
+    def search(center: FloatArray, size: float) -> tuple[_Problem, RobustFit, InitialMotions]:
+        problem = _make_problem(data, center, size, min_sigma_px)
+        starts = stack_initial_motions([change_center(guess, origin, center) for guess in guesses])
+        return problem, draw_and_fit(problem.stack, problem.usable, starts, rng), starts
+
+    problem, result, starts = search(center, size)
+    ratio = _measure_distance_ratio(problem.stack, result.fit)
+    if ratio != 1.0:
+        motion = result.fit.candidate.rotation, result.fit.candidate.translation
+        guesses = [*guesses, change_center(motion, center, origin)]
+        center = center + (1.0 - ratio) * problem.stack.a1.mean(axis=0)
+        relocated = search(center, size if radius is not None else ratio * size)
+        if relocated[1].minima.costs.min() < np.inf:
+            problem, result, starts = relocated
+            problem = problem._replace(is_relocated=True)
+    return Solution(_build_best_fit(problem, result, starts, rng), problem.center, problem.radius)
+
+
+def _measure_distance_ratio(stack: Stack, fit: IrlsFit) -> float:
+    """Return the object's distance from the cameras by a fit's depths, over the assumed one; 1 while the two agree.
+
+    They agree if the offset that all cameras share is within what the search allows for. That of opposite cameras is no
+    change of distance.
+    """
+    offset = float(stack.distance_gain.mean() * fit.distance_offset[0])
+    inverse_ratios = fit.candidate.depth_model[:, 0] / stack.depth_model_mean[:, 0]
+    is_contradicted = abs(offset) > MAX_INVERSE_DEPTH_SD and inverse_ratios.min() > 0.0
+    return 1.0 / float(inverse_ratios.mean()) if is_contradicted else 1.0
+
+
+def _make_problem(data: Sequence[TermData], center: FloatArray, radius: float, min_sigma_px: float) -> _Problem:
+    """Stack terms about a center."""
     usable = np.concatenate([find_usable(term.x, term.y, term.focal) for term in data])
-    problem, starts = _Problem(data, stack, center, radius, usable), stack_initial_motions(guesses)
+    return _Problem(data, stack_terms(data, center, radius, min_sigma_px), center, radius, usable)
+
+
+def _build_best_fit(problem: _Problem, result: RobustFit, starts: InitialMotions, rng: np.random.Generator) -> Fit:
+    """Build the fit of a single motion, or that of a mixture with a static background if it is likelier."""
+    stack, usable = problem.stack, problem.usable
     all_usable = usable.astype(float)
-    result = draw_and_fit(stack, usable, starts, rng)
     checks = problem.diagnose(result.fit, all_usable)
     # If the search diverged, replace its result by the identity.
     single = result.fit if checks.is_finite else make_empty_irls_fit(stack)
@@ -337,7 +405,8 @@ def _consider_alternatives(
     """Find alternative motions; near ones, with their own covariances, inflate the covariance.
 
     Returns:
-        all minima, a distant alternative or None, and the information; None if the fit does not converge to itself.
+        all minima, a distant alternative or None, and the information; None if the fit does not converge to itself, or if
+        it determines the object's distance but converges nowhere along its weakest direction.
     """
     stack, radius, irls_fit, minima = problem.stack, problem.radius, result.fit, result.minima
     R, d, _ = irls_fit.candidate
@@ -349,6 +418,9 @@ def _consider_alternatives(
     if weakly_observed or (is_clear and is_flat(stack, irls_fit)):
         if weakly_observed:
             displaced = uncertainty.displace_along_weak_direction(stack, probabilities, irls_fit, radius)
+            # What determines the distance of the center must converge elsewhere along the valley as well.
+            if problem.is_relocated and not displaced:
+                return None
         others = uncertainty.list_other_minima(irls_fit, minima)
         starts = [Candidate(*motion, stack.depth_model_mean) for motion in others]
         starts += [candidate for candidate, _ in displaced]
@@ -404,8 +476,8 @@ def _refine_from_alternatives(
 
     The noise that was found is kept. Flat objects and weakly observed motions depend on how curved surfaces are assumed to
     be: they are also fitted as if as curved as the prior, and as if flat. A motion that does not converge to itself from
-    prior depth models depends on models and weights left by chance or by another motion: the motion that it converges to
-    counts as equally likely.
+    prior depth models, at the distance found, depends on models and weights left by chance or by another motion: the motion
+    that it converges to counts as equally likely.
 
     Args:
         probabilities: (N,) the probability of each match to belong to the motion.
@@ -418,7 +490,9 @@ def _refine_from_alternatives(
     starts = [(stack._replace(marginalized_share=share), irls_fit.candidate) for share in (0.0, 1.0)]
     starts += [(stack, candidate) for candidate in candidates]
     if include_self:
-        starts.append((stack, irls_fit.candidate._replace(depth_model=stack.depth_model_mean)))
+        depth_model = stack.depth_model_mean.copy()
+        depth_model[:, 0] += stack.distance_gain * irls_fit.distance_offset[0]
+        starts.append((stack, irls_fit.candidate._replace(depth_model=depth_model)))
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))
     for k, (assumed, start) in enumerate(starts):

@@ -374,6 +374,14 @@ class TermSolver(Protocol):
     def __call__(self, terms: Sequence[TermData], start: Solution | None = None) -> Solution: ...
 
 
+def change_center(
+    motion: tuple[FloatArray, FloatArray], center: FloatArray, new_center: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return a motion (R, d) about another center."""
+    rotation, translation = motion
+    return rotation, translation + (rotation - np.eye(3)) @ (new_center - center)
+
+
 def make_failed_fit(data: Sequence[TermData], status: Status) -> Fit:
     """Return a fit without a pose, with this status."""
     weights = tuple(np.zeros(len(term)) for term in data)
@@ -381,26 +389,27 @@ def make_failed_fit(data: Sequence[TermData], status: Status) -> Fit:
     return Fit(status, np.eye(3), np.zeros(3), weights, weights, nothing, nothing, 0)
 
 
-def locate_object(data: Sequence[TermData]) -> tuple[FloatArray, float]:
+def locate_object(data: Sequence[TermData], center: FloatArray | None = None) -> tuple[FloatArray, float]:
     """Estimate where the object is and how large, from the matched points of the reference frame.
 
     Args:
         data: terms, each with at least one match.
+        center: (3,) where it is, if that is known.
 
     Returns:
         center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
         radius, length units: twice the median distance of the points from it.
     """
     x, _, offsets, rotations, _, centers, *_ = _concatenate(data)
-    center = np.empty(3)
-    return center, float(_locate_from_rays(x, offsets, rotations, centers, center))
+    found = np.empty(3) if center is None else np.array(center, dtype=float)
+    return found, float(_locate_from_rays(x, offsets, rotations, centers, center is not None, found))
 
 
 @kernel
 def _locate_from_rays(
-    x: FloatArray, offsets: IntArray, rotations: FloatArray, centers: FloatArray, center: FloatArray
+    x: FloatArray, offsets: IntArray, rotations: FloatArray, centers: FloatArray, is_known: bool, center: FloatArray
 ) -> float:
-    """Set center (3,) to the location of the object; return its radius.
+    """Set center (3,) to the location of the object, unless it is known; return its radius.
 
     Args:
         x: (N, 2) normalized points of all terms, split by offsets (T + 1,).
@@ -420,7 +429,8 @@ def _locate_from_rays(
         length = np.sqrt(anchor[0] ** 2 + anchor[1] ** 2 + 1.0)
         for i in range(3):
             rays[t, i] = (rotations[t, 0, i] * anchor[0] + rotations[t, 1, i] * anchor[1] + rotations[t, 2, i]) / length
-    _intersect_rays(centers, rays, spread, center)
+    if not is_known:
+        _intersect_rays(centers, rays, spread, center)
     radius, depths = 0.0, 0.0
     for t in range(n):
         depth = 0.0
