@@ -22,6 +22,7 @@ SYLPOSE = ["-c", "from sylpose.commands.main import main; main()"]
 COMMANDS = [
     ["-m", "tests.compile_kernels"],
     ["-c", "from benchmarks import honesty as h; [h.evaluate_scenes(k, range(1)) for k in [*h.MOTIONS, *h.POSES]]"],
+    [*SYLPOSE, "doctor"],
     [*SYLPOSE, "demo", "--frames", "24", "--turn", "60", "--out", "demo"],
     [*SYLPOSE, "track", "demo", "--refine-calibration", "--every", "2", "--out", "again", "--no-overlay"],
 ]
