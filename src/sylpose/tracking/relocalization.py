@@ -85,12 +85,12 @@ def search_lost_object(
     """
     # Before its first motion it may be nearby.
     has_prediction = not state.motion.is_lost or not state.motion.velocity.n_frames
-    is_costly = has_prediction and is_jumping(state)
+    is_costly, candidate = has_prediction and is_jumping(state), None
     if is_costly and context.has_time_for("all features"):
         with context.measure_search("all features", 1.0):
             state, candidate = _search_thoroughly(context, state, frame, predicted_pose)
-            if candidate is not None:
-                return state, _reject_other_side(context, state, candidate, predicted_pose)
+    if candidate is not None:
+        return state, candidate
     near_pose = predicted_pose if has_prediction and not is_costly else None
     # In the first missed frame it is near; a known object is required from the first frame on.
     is_likely = state.motion.hypothesis is not None or state.motion.n_missed == 1
@@ -101,10 +101,8 @@ def search_lost_object(
         return state, None
     with context.measure_search(kind, share):
         if state.motion.hypothesis is not None:
-            state, candidate = _search_at_hypothesis(context, state, frame, round(share * n_pixels))
-        else:
-            state, candidate = _search_next_region(context, state, frame, near_pose, round(share * n_pixels))
-        return state, _reject_other_side(context, state, candidate, predicted_pose)
+            return _search_at_hypothesis(context, state, frame, round(share * n_pixels))
+        return _search_next_region(context, state, frame, near_pose, round(share * n_pixels))
 
 
 def _search_next_region(
@@ -322,7 +320,8 @@ def search_again(
     if (is_costly or candidate is None) and context.has_time_for(kind):
         with context.measure_search(kind, 1.0):
             state, fallback = search(context, state, frame, predicted_pose)
-            fallback = _reject_other_side(context, state, fallback, predicted_pose)
+    if fallback is not None and is_side_ambiguous(context, state, fallback, predicted_pose):
+        fallback = None
     if fallback is None and _is_plausible(context, state, candidate, predicted_pose):
         return state, candidate
     return state, fallback
@@ -352,16 +351,16 @@ def has_known_references(state: JointState, candidate: PoseCandidate) -> bool:
 # --- repetitive patterns ----------------------------------------------------------------------------------------------
 
 
-def _reject_other_side(
-    context: Context, state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform
-) -> PoseCandidate | None:
-    """Return the pose, or None if it is rotated from the predicted one and may be that of a side that looks alike.
+def is_side_ambiguous(
+    context: Context, state: JointState, candidate: PoseCandidate, predicted_pose: RigidTransform
+) -> bool:
+    """Return whether a pose rotated from the predicted one may be that of another side, which looks alike.
 
     Many features of a repetitive pattern match those of other sides. If the visible side is in no keyframe, only a wrong
     one is found. Keyframes of one side only do not show it, nor does a pattern that repeats within one view.
     """
-    if candidate is None or np.linalg.norm(relative_rotvec(predicted_pose, candidate.pose)) <= OTHER_SIDE_ROTATION:
-        return candidate
+    if np.linalg.norm(relative_rotvec(predicted_pose, candidate.pose)) <= OTHER_SIDE_ROTATION:
+        return False
     keyframes, viewpoints = state.frames.keyframes, compute_viewpoints(context.rig, candidate.pose)
     visible = [[k for k in keyframes if k.is_visible[c]] for c in context.executor.local]
     compared = [own[:: -(-len(own) // N_KEYFRAMES**2) or 1] for own in visible]
@@ -369,8 +368,7 @@ def _reject_other_side(
     count = partial(_count_alike, radius=state.object.radius)
     counts = context.executor.gather(context.executor.run(count, context.cameras, nearest, compared), (0, 0))
     n_same, n_elsewhere = np.array(counts).sum(axis=0)
-    is_ambiguous = n_elsewhere >= MIN_MATCHES and n_elsewhere > MAX_ALIKE_RATIO * n_same
-    return None if is_ambiguous else candidate
+    return bool(n_elsewhere >= MIN_MATCHES and n_elsewhere > MAX_ALIKE_RATIO * n_same)
 
 
 def _count_alike(
