@@ -29,7 +29,6 @@ from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes, corr
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import enlarge_covariance
-from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
 from sylpose.relative_pose.camera_evidence import pool_f_ratios
 from sylpose.results import FramePose, Trajectory
@@ -37,7 +36,7 @@ from sylpose.rig import Rig
 from sylpose.status import FrameStatus, Observability, Status
 from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.context import TrackedFrame
-from sylpose.tracking.joint_side.joint_state import Nudge, compute_pose_change, inherit_covariance
+from sylpose.tracking.joint_side.joint_state import Nudge, compute_pose_change, inherit_covariance, is_change_explained
 from sylpose.tracking.known_object import TransferredObject
 from sylpose.tracking.reports import quantize_positions
 from sylpose.units import INITIAL_DISTANCES
@@ -48,9 +47,6 @@ from sylpose.units import INITIAL_DISTANCES
 MIN_TRACK_LENGTHS, ENOUGH_OBSERVATIONS, FEW_OBSERVATIONS = (8, 5, 2), 100, 30
 # Reason of frames that the refined path does not explain.
 LOST_REASON = "most observations contradict the refined path"
-# Squared change of a pose by the refinement, relative to its covariance as tracked, above which it is not explained
-# (chi-squared of six: chance exceeds it once in a thousand times).
-MAX_CHANGE = chi_squared_bound(6)
 # Measured poses on each side of a gap that determine the interpolating curve (choice).
 N_NEIGHBORS = 3
 
@@ -221,9 +217,8 @@ def smooth_tracks(
     if result.status is not Status.OK:  # no estimate: everything remains as tracked
         poses = _extend_contradiction(poses, frames)
         return SmoothedTrajectory(tuple(poses), result.status, zeros, zeros, result.sigma_px[:n], result.iterations)
-    poses = _extend_contradiction(
-        _apply_result(frames, used, observations, result, n, estimates_rig=estimates_rig), frames
-    )
+    poses = _apply_result(frames, used, observations, result, n, estimates_rig=estimates_rig or len(all_moved) > 0)
+    poses = _extend_contradiction(poses, frames)
     return SmoothedTrajectory(
         tuple(poses),
         result.status,
@@ -305,7 +300,7 @@ def _apply_result(
     for i in np.flatnonzero(has_common).tolist():
         covariance[i] = enlarge_covariance(covariance[i], share * tracked_covariance[i])
     if not estimates_rig:  # its corrections move poses
-        covariance += _measure_unexplained_changes(frames, used, result)
+        covariance = covariance + _measure_unexplained_changes(frames, used, result)
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
     for i, k in enumerate(used[1:], start=1):
@@ -329,19 +324,18 @@ def _apply_result(
 def _measure_unexplained_changes(frames: Sequence[Track], used: Sequence[int], result: BundleResult) -> FloatArray:
     """Return the squared changes (n, 6, 6) of poses by the refinement; zero if their uncertainty as tracked explains them.
 
-    Both estimates use the same observations, so the change is at most as uncertain as the pose as tracked, unless their
-    model is wrong: of a body that is not rigid each may follow another part.
-
-    Source: J. A. Hausman, Econometrica 46, 1978.
+    Others show a wrong model (of a body that is not rigid, tracker and refinement may follow different parts) or a biased
+    tracker.
     """
     out = np.zeros((len(used), 6, 6))
-    for i, k in enumerate(used[1:], start=1):
-        pose, covariance = frames[k].pose.world_from_object, frames[k].pose.covariance
-        if pose is None or frames[k].is_fixed or not result.connected[i] or not np.isfinite(covariance).all():
+    for i, k in enumerate(used):
+        track, pose = frames[k], frames[k].pose
+        if pose.world_from_object is None or not pose.is_measured or track.is_fixed or not result.connected[i]:
             continue
-        change = compute_pose_change(pose, result.world_from_object[i])
-        if change @ np.linalg.solve(covariance, change) > MAX_CHANGE:
+        change = compute_pose_change(pose.world_from_object, result.world_from_object[i])
+        if np.isfinite(pose.covariance).all() and not is_change_explained(change, pose.covariance, track.radius):
             out[i] = np.outer(change, change)
+    out[0] = 0.0  # the reference
     return out
 
 

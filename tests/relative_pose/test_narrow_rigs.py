@@ -42,16 +42,22 @@ def simulate_parts(n_scenes: int) -> Iterator[tuple[Rig, SimulatedPair]]:
 
 
 def test_object_is_where_the_depths_are() -> None:
-    distances, wrong, unconverged = [], 0, 0
+    distances, wrong, wrong_lengths, unconverged = [], 0, 0, 0
     for rig, pair in simulate_parts(60):
         found = estimate_motion(rig, pair.matches)
         unconverged += found.status is Status.NOT_CONVERGED
         if found.status is not Status.OK:
             continue
         error = compute_motion_error(pair, found)
-        wrong += compute_rotation_degrees(error) > 3.0 and compute_nees(error, found) > chi_squared_bound(6, 1e-6)
+        is_turned, is_sure = (
+            compute_rotation_degrees(error) > 3.0,
+            compute_nees(error, found) > chi_squared_bound(6, 1e-6),
+        )
+        wrong += is_turned and is_sure
+        wrong_lengths += not is_turned and is_sure
         distances.append(float(np.linalg.norm(found.center - np.mean([camera.center for camera in rig], axis=0))))
     assert wrong == 0
+    assert wrong_lengths <= 8  # the distance that the depths show is not that of the object
     # In the others, the length of the translation or the plane's motion is not observable.
     assert unconverged <= 2
     assert len(distances) >= 36

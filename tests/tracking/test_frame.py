@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -319,7 +320,9 @@ def test_best_of_random_matches_is_chance(n: int, width: float) -> None:
         assert is_explained_by_chance([InlierStatistics(inliers, inliers, n, width * n, 3)])
 
 
-@given(n=st.integers(30, 1000), share=st.floats(0.3, 0.7), probability=st.floats(1e-4, 0.02), cameras=st.integers(1, 3))
+@given(
+    n=st.integers(30, 1000), share=st.floats(0.3, 0.7), probability=st.floats(1e-4, 0.002), cameras=st.integers(1, 3)
+)
 def test_many_exact_inliers_are_no_chance(n: int, share: float, probability: float, cameras: int) -> None:
     inliers = round(share * n)
     own = [InlierStatistics(inliers, inliers, n, probability * n, 3)] * cameras
@@ -331,7 +334,15 @@ def test_many_exact_inliers_are_no_chance(n: int, share: float, probability: flo
     assert is_explained_by_chance(likelier) or not is_explained_by_chance(own)
 
 
-def test_chance_without_matches_or_with_as_many_as_unknowns() -> None:
+def test_number_of_false_alarms() -> None:
+    """Of 40 matches 25 agree: 9 of them determine the unknowns."""
+    choices = comb(40, 25) * comb(25, 9)
+    for alarms, expected in ((0.99e-3, False), (1.01e-3, True)):
+        probability = (alarms / choices) ** (1.0 / (25 - 9))
+        assert is_explained_by_chance([InlierStatistics(25, 25, 40, 40.0 * probability, 3)]) is expected
+
+
+def test_chance_of_few_or_of_nearly_all_matches() -> None:
     assert is_explained_by_chance([InlierStatistics(18, 18, 30, 1e-9, 3)])
     assert not is_explained_by_chance([InlierStatistics(19, 19, 30, 0.0, 3)])
     assert not is_explained_by_chance([InlierStatistics(27, 27, 30, 9.0, 3)])

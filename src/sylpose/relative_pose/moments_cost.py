@@ -35,7 +35,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
 from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, Candidate, Stack, transform_to_camera
 
-# Weight of the prior in the estimate of the residual depth, as a number of matches: as many as determine a plane (derived).
+# Weight of the prior in the estimate of the residual depth, as a number of matches (choice).
 PRIOR_MATCHES = 3.0
 # An excess below this many standard deviations of the noise variance is not residual depth (choice).
 NOISE_SIGMAS = 2.0

@@ -126,7 +126,8 @@ def locate_and_fit(
     """Locate an object and fit one robust motion to all terms, as `fit_terms` does.
 
     The object is where the cameras' rays meet (`locate_object`). The rays of cameras close together hardly determine its
-    distance, but the depths that follow from the motion do: where they contradict it, the search is repeated at theirs.
+    distance, but the depths that follow from the motion do: where they contradict it, the search is repeated at theirs,
+    once.
 
     Args:
         data: T terms with at least one match each.

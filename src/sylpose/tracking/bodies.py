@@ -32,7 +32,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
-    PREDICTED_RADIUS,
+    REGION_MARGIN,
     CameraPairs,
     FrameMatches,
     Region,
@@ -476,4 +476,4 @@ def _draw_outline(pixels: FloatArray) -> Region:
     if not len(pixels):
         return None
     distances = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
-    return widen_outline(pixels[distances <= MAX_DISTANCE_RATIO * np.median(distances)], PREDICTED_RADIUS)
+    return widen_outline(pixels[distances <= MAX_DISTANCE_RATIO * np.median(distances)], REGION_MARGIN)

@@ -28,7 +28,7 @@ from sylpose.rig import Rig
 from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker, TrackedFeatures
 from sylpose.tracking.camera_side.frame import (
-    PREDICTED_RADIUS,
+    REGION_MARGIN,
     CameraFrame,
     CameraPairs,
     DetectedFeatures,
@@ -276,7 +276,7 @@ class Context:
             per camera, local: its region; None if out of view.
         """
         points = world_from_object.apply(state.object.points)
-        return [project_outline(camera.camera, points, PREDICTED_RADIUS) for camera in self.cameras]
+        return [project_outline(camera.camera, points, REGION_MARGIN) for camera in self.cameras]
 
     def object_radius_px(self, state: JointState, world_from_object: RigidTransform) -> list[float]:
         """Return per camera of the rig the object's radius in its image at a pose, pixels."""

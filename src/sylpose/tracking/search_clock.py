@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-# A search may delay a pose by so many frame intervals (choice: the promise of docs/live.md).
+# A search may delay a pose by so many frame intervals (derived: docs/live.md promises it).
 MAX_LATE_INTERVALS = 2.0
 # Number of frames over which the interval is measured (choice: two seconds).
 N_RECENT = 64

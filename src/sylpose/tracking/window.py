@@ -35,7 +35,7 @@ from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import (
-    RESULT_DELAY,
+    RETRY_FRAMES,
     JointState,
     PendingRefinement,
     SolvedFrame,
@@ -51,7 +51,7 @@ from sylpose.tracking.reports import NewObservations, quantize_positions
 
 # If the last refinement is at least so many frames ago, the next one runs in the background: its result is used before
 # another one is due (derived).
-BACKGROUND_INTERVAL = RESULT_DELAY + 1
+BACKGROUND_INTERVAL = RETRY_FRAMES
 # A refinement is valid if it turns the last pose by less than this, radians, and moves it by less than `SAME_PLACE_RATIO`
 # (choice: with 10 degrees, a faint object was tracked up to 8 degrees off instead of uncertain).
 MAX_ROTATION_CHANGE = 0.1

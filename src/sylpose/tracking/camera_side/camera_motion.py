@@ -24,7 +24,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.rig import Camera
-from sylpose.tracking.camera_side.frame import PREDICTED_RADIUS, project_outline, rasterize_outline
+from sylpose.tracking.camera_side.frame import REGION_MARGIN, project_outline, rasterize_outline
 from sylpose.tracking.joint_side.joint_state import RETRY_FRAMES
 from sylpose.tracking.reports import CameraMotionReport
 
@@ -138,7 +138,7 @@ class CameraMotionDetector:
     def _is_on_object(self, points: FloatArray | None) -> BoolArray:
         """Return which corners (n,) are on the object."""
         assert self.background is not None
-        region = None if points is None else project_outline(self.camera, points, PREDICTED_RADIUS)
+        region = None if points is None else project_outline(self.camera, points, REGION_MARGIN)
         columns, rows = self.background.pixels.astype(np.int64).T
         return np.asarray(rasterize_outline(region, self.camera.size)[rows, columns])
 

@@ -40,8 +40,10 @@ DEPTH_SEARCH_SDS = float(np.sqrt(chi_squared_bound(1)))
 MAX_RELATIVE_DEPTH_SD = 0.1
 # An outline (k, 2) in pixels; None: out of view.
 Region = FloatArray | None
-# Search radius around a landmark's projection, as a share of the object's radius in the image: at a predicted pose, which
-# is also the margin of the object's search region, and at a solved one (choice).
+# Margin of the object's search region, as a share of its size in the image (choice).
+REGION_MARGIN = 0.15
+# Search radius around a landmark's projection, as a share of the object's radius in the image: at a predicted pose, and at a
+# solved one (choice).
 PREDICTED_RADIUS, SOLVED_RADIUS = 0.15, 0.03
 # Directions in which an outline is dilated (choice).
 DILATION_DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
@@ -53,8 +55,6 @@ MatchWeights = list[tuple[FloatArray, FloatArray]]
 # Weight of a static landmark that never moved, while others move: where the object has no more matches than the least share
 # by which a camera sees a body, all static ones together weigh as much as the usual mismatches (derived).
 STATIC_WEIGHT = MIN_OUTLIER_RATIO * MISMATCH_PROBABILITY
-# Landmarks with less weight, such as young ones among old, do not support a pose (choice).
-MIN_EVIDENCE_WEIGHT = 0.06
 # An inlier share this large does not occur by chance; at 0.7 another body in the same place is tracked (measured:
 # tests/tracking/test_disturbed.py) (choice).
 MIN_CERTAIN_INLIER_RATIO = 0.8
@@ -518,7 +518,8 @@ def compute_inlier_statistics(
     matches = int((weights > 0).sum())
     if not len(observations.image):
         return InlierStatistics(matches)
-    is_evidence = observations.prior_weight > MIN_EVIDENCE_WEIGHT
+    # Landmarks with less weight, such as young ones among old, do not support a pose.
+    is_evidence = observations.prior_weight > MISMATCH_PROBABILITY
     is_inlier = (weights > 0) & is_evidence
     sigma = (
         np.sqrt(np.mean(residuals[is_inlier] ** 2)) / observations.focal
@@ -540,7 +541,8 @@ def is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
     """Return whether random matches would agree with a pose about as often.
 
     The number of false alarms is the expected number of choices of inliers, and of as many of them as there are unknowns
-    (the pose's and those of each camera's depth model), with which all other inliers agree by chance.
+    (the pose's and those of each camera's depth model), with which all other inliers agree by chance. A match that is on its
+    epipolar line determines one unknown.
 
     Source: Moisan & Stival, a contrario RANSAC, 2004.
     """
@@ -554,7 +556,7 @@ def is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
     # The logarithm of the multinomial coefficient: rejected matches, inliers that determine the pose, other inliers.
     choices = gammaln(tried + 1) - gammaln([tried - inliers + 1, n_unknowns + 1, inliers - n_unknowns + 1]).sum()
     expected = max(sum(one.expected_by_chance for one in statistics), 1e-12)
-    return bool(choices + (inliers - n_unknowns) * np.log(expected / tried) > np.log(SIGNIFICANCE))
+    return not choices + (inliers - n_unknowns) * np.log(expected / tried) <= np.log(SIGNIFICANCE)
 
 
 def compute_support(observations: LandmarkMatches, weights: FloatArray, residuals: FloatArray) -> float:

@@ -51,15 +51,19 @@ MAX_ANCHOR_ROTATION = RING_ANGLES[-1]
 PREPARATION_MARGIN = 1.5
 # Number of frames after which a search is repeated: of a camera without tracks, and where the object was relocalized, but
 # not confirmed. Detection of a camera's motion restarts so many frames after as many of unexplained change, or after too
-# few corners. Work in the background begins again: at 30 frames per second it takes as long on a busy processor (choice).
+# few corners. A refinement begins in the background after as many: it takes about as long on a busy processor, at 30 frames
+# per second (choice).
 RETRY_FRAMES = 8
-# The result of work in the background is used in the frame before (derived).
+# The result of work in the background is used so many frames later, before the next one begins (derived).
 RESULT_DELAY = RETRY_FRAMES - 1
 # Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
 MAX_SPARSE_AGE = 2
 # Largest accepted difference between prediction and fit (chi-squared of six: chance exceeds it once in a thousand
 # times).
 MAX_PREDICTION_ERROR = chi_squared_bound(6)
+# Largest squared change of a pose by a refinement, relative to its covariance (chi-squared of six: chance exceeds it once
+# in a thousand times).
+MAX_CHANGE = chi_squared_bound(6)
 # Number of frames over which the usual change of velocity and a camera's noise are averaged, and after which velocity
 # predicts poses (choice).
 AVERAGING_FRAMES = 5
@@ -757,6 +761,25 @@ def is_mostly_moving(agreements: Agreements) -> bool:
 def compute_pose_change(before: RigidTransform, after: RigidTransform) -> FloatArray:
     """Return the change (6,) (w, d) of a pose."""
     return np.concatenate([relative_rotvec(before, after), after.translation - before.translation])
+
+
+def is_change_explained(change: FloatArray, covariance: FloatArray, radius: float) -> bool:
+    """Return whether the uncertainty of a pose explains its change by a refinement.
+
+    A refinement uses the observations of the pose and others. If its model is right, and the pose unbiased, the change is no
+    more uncertain than the pose.
+
+    Args:
+        change: (6,) (w, d).
+        covariance: (6, 6) of (w, d) before the change; singular along exact directions.
+        radius: of the object.
+
+    Source: J. A. Hausman, Econometrica 46, 1978.
+    """
+    scales = np.repeat([1.0, 1.0 / radius], 3)
+    difference = covariance - np.outer(change, change) / MAX_CHANGE
+    # Positive semidefinite if and only if change' covariance^-1 change is at most the limit.
+    return bool(np.linalg.eigvalsh(scales[:, None] * difference * scales)[0] >= 0.0)
 
 
 def bound_information(radius: float) -> FloatArray:
