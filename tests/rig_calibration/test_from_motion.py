@@ -184,7 +184,10 @@ def observe_jointly(found: MotionCalibration, path: RigidTransform, seed: int) -
         R = poses[k].rotation * poses[0].rotation.inv()
         rough = Rotation.from_rotvec(0.01 * rng.normal(size=3) * (k > 0)) * R
         pose = RigidTransform.from_components(poses[k].translation, rough)
-        frame = replace(alone[0][k].pose, world_from_object=pose, inliers=np.full(3, 100), residuals=np.full(3, 0.3))
+        # Rough poses are no evidence against refined ones.
+        status = FrameStatus.UNCERTAIN if k else FrameStatus.FIRST
+        frame = replace(alone[0][k].pose, world_from_object=pose, status=status)
+        frame = replace(frame, inliers=np.full(3, 100), residuals=np.full(3, 0.3))
         tracks.append(Track(frame, tuple(observations), np.zeros(3), RADIUS * scale))
     return tracks
 
