@@ -49,10 +49,8 @@ def test_object_is_where_the_depths_are() -> None:
         if found.status is not Status.OK:
             continue
         error = compute_motion_error(pair, found)
-        is_turned, is_sure = (
-            compute_rotation_degrees(error) > 3.0,
-            compute_nees(error, found) > chi_squared_bound(6, 1e-6),
-        )
+        is_turned = compute_rotation_degrees(error) > 3.0
+        is_sure = compute_nees(error, found) > chi_squared_bound(6, 1e-6)
         wrong += is_turned and is_sure
         wrong_lengths += not is_turned and is_sure
         distances.append(float(np.linalg.norm(found.center - np.mean([camera.center for camera in rig], axis=0))))

@@ -155,6 +155,7 @@ class MotionModel:
         if self.n_frames < AVERAGING_FRAMES or not self.change_variance.any():
             return rotation, translation, information
         error = self._compute_prediction_error(rotation, translation, center, elapsed)
+        # Larger changes than this many usual ones are no chance.
         sd = np.maximum(CUTOFF * elapsed * np.sqrt(_sum_by_parts(self.change_variance)), 1e-12)
         prediction, fused_information = np.diag(sd**-2), information + np.diag(sd**-2)
         # error' (covariance of the fit + diag(sd²))^-1 error, without inverting an information matrix that may be
@@ -766,8 +767,8 @@ def compute_pose_change(before: RigidTransform, after: RigidTransform) -> FloatA
 def is_change_explained(change: FloatArray, covariance: FloatArray, radius: float) -> bool:
     """Return whether the uncertainty of a pose explains its change by a refinement.
 
-    A refinement uses the observations of the pose and others. If its model is right, and the pose unbiased, the change is no
-    more uncertain than the pose.
+    A refinement weighs more observations together. If its model is right, and the pose unbiased, the change is no more
+    uncertain than the pose.
 
     Args:
         change: (6,) (w, d).
