@@ -17,6 +17,9 @@ the result counts as hidden.
 
 The exit code is 1 if more than 1 in 1,000 of all results are wrong and sure, or more than 1 in 200 of a kind (and more
 than one), or if less than 97 % of the regular ones are OK. The kinds: benchmarks/honesty_kinds.py.
+
+Scenes below 11000, and the first 200 from 20000, 30000, 50000, 60000, 90000, 200000, 810000 and 820000 on, were in part
+looked at while developing (docs/history/benchmarks.md).
 """
 
 from __future__ import annotations

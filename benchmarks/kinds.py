@@ -15,6 +15,8 @@ with a pose: rotation in degrees, and translation of the object's center in obje
 Prints one row per kind, or per variation with --each, and each frame with --frames. The kinds are defined in
 `benchmarks/kinds_scenes.py`, `benchmarks/kinds_fallback_search.py` and `benchmarks/kinds_feature_poor.py`. Without KIND,
 all kinds run except those of the group "large".
+
+Seeds 0 to 24, 30 to 61, 70 to 75 and 80 to 83 were looked at while developing, some of their kinds only.
 """
 
 from __future__ import annotations
