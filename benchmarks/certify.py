@@ -41,7 +41,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from benchmarks.kinds_scenes import draw_direction
 from benchmarks.trust_camera_faults import TakeKind, calibrate_with, magnify, scale_translation
 from benchmarks.trust_kinds import KINDS as TRUST_KINDS
-from benchmarks.trust_takes import Take, draw_take
+from benchmarks.trust_takes import Take, draw_take, warn_without_photographs
 from sylpose import Box, FrameSet, Rig, Trajectory, open_session, track
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.comparison import associate_timestamps
@@ -333,6 +333,8 @@ def main() -> None:
         return
     first, _, end = arguments.seeds.partition(":")
     seeds = range(int(first), int(end or int(first) + 1))
+    if names:
+        warn_without_photographs()
     print(HEADER, flush=True)
     runs = list[Run]()
     for folder in arguments.recording:

@@ -21,7 +21,7 @@ from benchmarks.kinds_feature_poor import reduce_contrast
 from benchmarks.kinds_scenes import draw_block, draw_rounded_body, texture_resolution
 from benchmarks.trust_effects import cast_shadows, scale_brightness
 from benchmarks.trust_people import add_actors, add_person, make_person
-from benchmarks.trust_takes import Take, draw_motion, draw_photo, draw_trust_rig
+from benchmarks.trust_takes import Take, draw_motion, draw_photo, draw_trust_rig, warn_without_photographs
 from sylpose import FrameSet, carve_object, track
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
@@ -157,6 +157,7 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     parser.add_argument("--tracked", action="store_true")
     arguments = parser.parse_args()
+    warn_without_photographs()
     print("| kind | median error, % of the size: worst seed, median seed | mean | 95 % | s |\n|---|---|---|---|---|")
     for kind in arguments.kinds:
         rows, failures = [], []

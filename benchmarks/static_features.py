@@ -20,6 +20,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.trust import draw
+from benchmarks.trust_takes import warn_without_photographs
 from sylpose.features.klt import to_gray
 from sylpose.features.patches import MAX_VARIANCE_RATIO, RADIUS, ROUNDING_VARIANCE
 from sylpose.features.sift import detect_features, match_features
@@ -92,6 +93,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=54)
     parser.add_argument("--gap", type=int, default=3, help="frames between the two")
     arguments = parser.parse_args()
+    warn_without_photographs()
     table = np.concatenate([compare_kind(kind, arguments.seed, arguments.gap) for kind in arguments.kinds])
     print("| displaced by, px | static if | background that moves | bodies that do not |\n|---|---|---|---|")
     for low, high in CLASSES:

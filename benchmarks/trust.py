@@ -40,7 +40,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.kinds import LOCALIZED, SURE_SDS, WRONG_DEG, WRONG_RADII
 from benchmarks.trust_kinds import GROUPS, KINDS
-from benchmarks.trust_takes import Take
+from benchmarks.trust_takes import Take, warn_without_photographs
 from sylpose import FramePose, track
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.geometry.arrays import FloatArray
@@ -303,7 +303,9 @@ def main() -> None:
     if arguments.list:
         for group, kinds in GROUPS.items():
             print(f"{group}: {', '.join(kinds)}")
-    elif arguments.film:
+        return
+    warn_without_photographs()
+    if arguments.film:
         write_film(arguments.film, names, seeds)
     else:
         report(names, seeds, arguments.jobs, each=arguments.each, file=arguments.json)

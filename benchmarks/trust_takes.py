@@ -7,6 +7,7 @@ change the images afterwards.
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -44,6 +45,7 @@ __all__ = [
     "place_boxes",
     "show_during",
     "to_cameras",
+    "warn_without_photographs",
 ]
 
 Film = list[list[Image]]
@@ -161,23 +163,42 @@ def _exposed_at(path: Path, clock: Clock, delay: float) -> Path:
 # --- photographs and panels -----------------------------------------------------------------------------------------------
 
 
+# Packages that ship photographs: their folder, and the number of photographs that the figures in the documents are of.
+PHOTOGRAPHS = {"viser": ("_assets/hdri", 10), "matplotlib": ("mpl-data/sample_data", 1)}
+
+
 @cache
-def _photograph_files() -> list[FilePath]:
-    """Find the photographs that installed packages ship."""
-    files = []
-    for package, folder in (("viser", "_assets/hdri"), ("matplotlib", "mpl-data/sample_data")):
-        spec = importlib.util.find_spec(package)
-        if spec is not None and spec.origin is not None:
-            files += sorted((FilePath(spec.origin).parent / folder).glob("*.jpg"))
-    return files
+def _find_photographs(package: str, folder: str) -> tuple[FilePath, ...]:
+    """Find the photographs in a folder of a package; none if it is not installed."""
+    spec = importlib.util.find_spec(package)
+    if spec is None or spec.origin is None:
+        return ()
+    return tuple(sorted((FilePath(spec.origin).parent / folder).glob("*.jpg")))
+
+
+def warn_without_photographs() -> None:
+    """Print a warning on stderr if takes with photographs differ here from those of the figures in the documents.
+
+    Benchmarks call it once, at the beginning; the takes are drawn later, often by other processes.
+    """
+    found = {package: len(_find_photographs(package, folder)) for package, (folder, _) in PHOTOGRAPHS.items()}
+    wrong = [package for package, (_, count) in PHOTOGRAPHS.items() if found[package] != count]
+    if wrong:
+        counts = ", ".join(f"{package} has {found[package]} instead of {PHOTOGRAPHS[package][1]}" for package in wrong)
+        print(
+            f"warning: {counts} photographs here: takes with photographs show others, or drawn rooms, and differ from those "
+            f"of other machines and of the documents. Install {' and '.join(wrong)} to repeat these.",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def draw_photo(rng: np.random.Generator, size: tuple[int, int]) -> Image:
-    """Draw a part of a photograph that an installed package ships, or of a drawn room if none does."""
+    """Draw a part of a photograph that an installed package ships, or a room if none does: `warn_without_photographs`."""
     width, height = size
     # One number of the take's generator, whatever is installed: the rest of the take is the same on every machine.
     rng = np.random.default_rng(int(rng.integers(1 << 30)))
-    files = _photograph_files()
+    files = [file for package, (folder, _) in PHOTOGRAPHS.items() for file in _find_photographs(package, folder)]
     photo = cv2.imread(str(files[int(rng.integers(len(files)))])) if files else None
     if photo is None:
         from sylpose.simulate.textures import make_room_image

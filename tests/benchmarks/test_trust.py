@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks import trust_takes
 from benchmarks.trust import Run, Score, draw, format_row, format_worst, score_poses
 from benchmarks.trust_camera_faults import reflect
 from benchmarks.trust_effects import exchange, flip, freeze
 from benchmarks.trust_kinds import GROUPS, KINDS
-from benchmarks.trust_takes import Film, Take
+from benchmarks.trust_takes import PHOTOGRAPHS, Film, Take, draw_photo, warn_without_photographs
 from sylpose import FramePose, FrameStatus
 from sylpose.geometry.arrays import FloatArray
 
@@ -103,6 +104,30 @@ def test_frames_without_poses_are_no_errors(take: Take) -> None:
     score = score_poses(take, poses)
     assert (score.localized, score.wrong) == (take.scene.frames - 5, 0)
     assert score_poses(take, []).localized == 0
+
+
+def test_missing_photographs_are_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(trust_takes, "PHOTOGRAPHS", {"matplotlib": PHOTOGRAPHS["matplotlib"]})
+    warn_without_photographs()
+    assert not capsys.readouterr().err
+    kept = np.random.default_rng(0)
+    photo = draw_photo(kept, (64, 48))
+    monkeypatch.setattr(
+        trust_takes, "PHOTOGRAPHS", {"no_such_package": ("photographs", 10), "sylpose": ("photographs", 2)}
+    )
+    warn_without_photographs()
+    output = capsys.readouterr()
+    assert not output.out
+    assert output.err.startswith(
+        "warning: no_such_package has 0 instead of 10, sylpose has 0 instead of 2 photographs here"
+    )
+    assert output.err.count("\n") == 1
+    # A drawn room replaces the photograph, and the rest of the take is the same.
+    rng = np.random.default_rng(0)
+    room = draw_photo(rng, (64, 48))
+    assert room.shape == photo.shape == (48, 64, 3)
+    assert not np.array_equal(room, photo)
+    assert rng.integers(1 << 30) == kept.integers(1 << 30)
 
 
 def test_image_faults(take: Take) -> None:
