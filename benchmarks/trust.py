@@ -11,6 +11,7 @@ object's center in object radii.
 - *Wrong and sure*: localized frames whose error exceeds 3 degrees or a third of the radius, and five of its standard
   deviations; as tracked, and as refined (trajectory.csv). "In" is the number of runs that have such frames.
 - *In the bounds*: share of the localized frames whose stated 95 % ellipsoid contains the truth: of rotation, of translation.
+- *Filled in*: number of frames whose pose no match determines, with the status coasting or interpolated, and the same share.
 - A take may have several truths, such as two equal objects without boxes. A run is scored against the one that it agrees
   with best as a whole.
 - An error ends a run at its frame; runs with errors are listed at the end.
@@ -43,10 +44,10 @@ from benchmarks.trust_kinds import GROUPS, KINDS
 from benchmarks.trust_takes import Take, warn_without_photographs
 from sylpose import FramePose, track
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.smoothing import Track, smooth_tracks
-from sylpose.status import Status
+from sylpose.status import PREDICTED, Status
 
 # Squared error of three unknowns in standard deviations that 95 % stay below.
 BOUND_95 = chi_squared_bound(3, 0.05)
@@ -66,6 +67,8 @@ class Score:
         sds: largest error in standard deviations: of rotation, of translation.
         n_bounded: number of localized frames apart from the reference.
         in_bounds: number of these whose 95 % bound contains the truth: of rotation, of translation.
+        n_filled, filled_in_bounds: the same two of coasting and interpolated frames.
+        filled_sds: their largest error in standard deviations; NaN without any.
         truth: number of the truth that the run agrees with best.
         statuses: number of frames by status.
     """
@@ -79,6 +82,9 @@ class Score:
     sds: tuple[float, float]
     n_bounded: int
     in_bounds: tuple[int, int]
+    n_filled: int
+    filled_in_bounds: tuple[int, int]
+    filled_sds: tuple[float, float]
     truth: int
     statuses: dict[str, int]
 
@@ -157,15 +163,19 @@ def score_poses(take: Take, poses: Sequence[FramePose]) -> Score:
 
 def _score_against(take: Take, poses: Sequence[FramePose], truth: RigidTransform, number: int) -> Score:
     errors, reference = compute_errors(take, poses, truth)
-    found = np.array([pose.status in LOCALIZED for pose in poses], dtype=bool) & np.isfinite(errors[:, 0])
+    is_known = np.isfinite(errors[:, 0])
+    found = np.array([pose.status in LOCALIZED for pose in poses], dtype=bool) & is_known
     is_wrong = (errors[:, 0] > WRONG_DEG) | (errors[:, 1] > WRONG_RADII)
     is_sure = (errors[:, 0] > WRONG_DEG) & (errors[:, 2] > SURE_SDS) | (errors[:, 1] > WRONG_RADII) & (
         errors[:, 3] > SURE_SDS
     )
     of_found = errors[found] if found.any() else np.full((1, 4), np.nan)
-    is_bounded = found & (np.arange(len(poses)) != reference)
+    is_later = np.arange(len(poses)) != reference
+    is_bounded = found & is_later
+    is_filled = np.array([pose.status in PREDICTED for pose in poses], dtype=bool) & is_known & is_later
     median, largest = np.median(of_found, axis=0), of_found.max(axis=0)
-    inside = (errors[is_bounded, 2:] ** 2 <= BOUND_95).sum(axis=0)
+    largest_filled = errors[is_filled, 2:].max(axis=0) if is_filled.any() else np.full(2, np.nan)
+    inside = errors[:, 2:] ** 2 <= BOUND_95
     return Score(
         int(found.sum()),
         int((is_sure & found).sum()),
@@ -174,11 +184,18 @@ def _score_against(take: Take, poses: Sequence[FramePose], truth: RigidTransform
         (float(median[0]), float(largest[0])),
         (float(median[1]), float(largest[1])),
         (float(largest[2]), float(largest[3])),
-        int(is_bounded.sum()),
-        (int(inside[0]), int(inside[1])),
+        *_count_inside(inside[is_bounded]),
+        *_count_inside(inside[is_filled]),
+        (float(largest_filled[0]), float(largest_filled[1])),
         number,
         dict(Counter(pose.status.value for pose in poses)),
     )
+
+
+def _count_inside(inside: BoolArray) -> tuple[int, tuple[int, int]]:
+    """Return the number of frames (n, 2), and those in the bounds of rotation and of translation."""
+    rotations, translations = inside.sum(axis=0)
+    return len(inside), (int(rotations), int(translations))
 
 
 def compute_errors(take: Take, poses: Sequence[FramePose], truth: RigidTransform) -> tuple[FloatArray, int]:
@@ -215,7 +232,8 @@ def compute_errors(take: Take, poses: Sequence[FramePose], truth: RigidTransform
 
 HEADER = (
     "| kind | runs | frames | localized, % | wrong and sure: tracked | refined | error, deg: median, worst; tracked "
-    "| refined | error, radii: tracked | refined | in the bounds, %: tracked | refined |\n" + "|---" * 12 + "|"
+    "| refined | error, radii: tracked | refined | in the bounds, %: tracked | refined | filled in, their bounds: tracked "
+    "| refined |\n" + "|---" * 14 + "|"
 )
 
 
@@ -232,7 +250,8 @@ def format_row(name: str, runs: Sequence[Run]) -> str:
         _format_sure(refined),
         *(_format_errors([s.degrees for s in scores], 2) for scores in (tracked, refined)),
         *(_format_errors([s.radii for s in scores], 3) for scores in (tracked, refined)),
-        *(_format_bounds(scores) for scores in (tracked, refined)),
+        *(_format_bounds([(s.n_bounded, s.in_bounds) for s in scores]) for scores in (tracked, refined)),
+        *(_format_filled(scores) for scores in (tracked, refined)),
     ]
     return "| " + " | ".join(cells) + " |"
 
@@ -247,9 +266,14 @@ def _format_errors(errors: Sequence[tuple[float, float]], digits: int) -> str:
     return f"{np.median(finite[:, 0]):.{digits}f}, {finite[:, 1].max():.{digits}f}" if len(finite) else "-"
 
 
-def _format_bounds(scores: Sequence[Score]) -> str:
-    total = sum(s.n_bounded for s in scores)
-    return ", ".join(f"{100 * sum(s.in_bounds[i] for s in scores) / total:.0f}" for i in range(2)) if total else "-"
+def _format_bounds(counts: Sequence[tuple[int, tuple[int, int]]]) -> str:
+    total = sum(n for n, _ in counts)
+    return ", ".join(f"{100 * sum(inside[i] for _, inside in counts) / total:.0f}" for i in range(2)) if total else "-"
+
+
+def _format_filled(scores: Sequence[Score]) -> str:
+    total, bounds = sum(s.n_filled for s in scores), _format_bounds([(s.n_filled, s.filled_in_bounds) for s in scores])
+    return f"{total}: {bounds}" if total else "-"
 
 
 def format_worst(runs: Sequence[Run]) -> list[str]:

@@ -35,6 +35,11 @@ def make_pose(k: int, pose: RigidTransform | None, sd: float) -> FramePose:
     return FramePose(k, float(k), status, pose, sd**2 * np.eye(6), np.full(2, 50), np.full(2, 0.3))
 
 
+def mark(poses: list[FramePose], status: FrameStatus, numbers: range) -> list[FramePose]:
+    """Change the status of some frames."""
+    return [replace(pose, status=status) if pose.index in numbers else pose for pose in poses]
+
+
 def rotate(poses: RigidTransform, degrees: FloatArray) -> RigidTransform:
     """Add a rotation about each pose's own center."""
     turns = RigidTransform.from_rotation(Rotation.from_rotvec(np.radians(degrees)[:, None] * [1.0, 0.0, 0.0]))
@@ -106,6 +111,27 @@ def test_frames_without_poses_are_no_errors(take: Take) -> None:
     assert score_poses(take, []).localized == 0
 
 
+def test_filled_in_frames_have_bounds_of_their_own(take: Take) -> None:
+    (truth,) = take.true_poses()
+    degrees = np.where(np.arange(take.scene.frames) >= 30, 6.0, 0.0)
+    tracked = mark(make_poses(rotate(truth, degrees)), FrameStatus.COASTING, range(28, 33))
+    score = score_poses(take, mark(tracked, FrameStatus.INTERPOLATED, range(4, 9)))
+    assert (score.n_filled, score.filled_in_bounds) == (10, (7, 10))
+    assert score.filled_sds[0] == pytest.approx(np.radians(6.0) / SD, rel=1e-3)
+    # They are not localized, so neither bounded nor wrong and sure as such.
+    assert score.localized == score.n_bounded == take.scene.frames - 11
+    assert (score.sure, score.in_bounds) == (take.scene.frames - 33, (22, score.n_bounded))
+    assert score_poses(take, make_poses(truth)).n_filled == 0
+
+
+def test_filled_in_frames_without_reference_or_pose_are_not_counted(take: Take) -> None:
+    (truth,) = take.true_poses()
+    poses = [make_pose(k, None if k < 3 else pose, SD) for k, pose in enumerate(truth)]
+    score = score_poses(take, mark(poses, FrameStatus.COASTING, range(5)))
+    assert (score.n_filled, score.filled_in_bounds) == (1, (1, 1))
+    assert score_poses(take, []).n_filled == 0
+
+
 def test_missing_photographs_are_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(trust_takes, "PHOTOGRAPHS", {"matplotlib": PHOTOGRAPHS["matplotlib"]})
     warn_without_photographs()
@@ -156,10 +182,12 @@ def test_table_counts_frames_and_runs(take: Take) -> None:
     runs = [make_run(0, good, bad), make_run(1, none, none)]
     cells = [cell.strip() for cell in format_row("slow-turn", runs).strip("|").split("|")]
     assert cells[:6] == ["slow-turn", "2", "80", "49 / 49", "0", f"{take.scene.frames - 30} in 1"]
-    assert cells[10:] == ["100, 100", "74, 100"]
+    assert cells[10:] == ["100, 100", "74, 100", "-", "-"]
     assert cells[6] == "0.00, 0.00"
-    assert format_row("none", runs[1:]).count("| - ") == 6
+    assert format_row("none", runs[1:]).count("| - ") == 8
     assert [line.partition(":")[0] for line in format_worst(runs)] == ["slow-turn 0"]
+    filled = score_poses(take, mark(make_poses(truth), FrameStatus.INTERPOLATED, range(9, 12)))
+    assert format_row("slow-turn", [make_run(0, good, filled)]).endswith(" | - | 3: 100, 100 |")
 
 
 def make_run(seed: int, tracked: Score, refined: Score) -> Run:
