@@ -19,7 +19,7 @@ object's center in object radii.
 Prints one row per kind, or per run with --each, a row of all, and the worst runs. --film writes the first, middle and last
 images of each take as a picture instead. The kinds are in `benchmarks/trust_kinds.py`.
 
-Seeds 0 to 13, 23, 30 to 34, 36 to 94, 98 and 101 were looked at while developing, of some of them a few kinds only.
+Seeds 0 to 13, 23, 30 to 34, 36 to 94, 98, 101 and 110 to 125 were looked at while developing, some of them in few kinds.
 docs/history/benchmarks.md states which figures are of a first look. New figures are of other seeds, looked at once.
 """
 
