@@ -34,11 +34,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, leaf, so3_log
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.relative_pose.limits import MAX_ROUNDS, MAX_STEPS, MIN_SHARE, ROUGHLY_CONVERGED_DECREASE
-from sylpose.relative_pose.terms import TermData, find_usable
+from sylpose.relative_pose.terms import TermData, concatenate_terms, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
 # 0.3 degrees and 1 %, as a good calibration may be off).
@@ -183,9 +183,35 @@ def measure_excess(
         (T,) the excess; (T,) the unadjusted excess (`compare_motions`); NaN without evidence.
     """
     excess, unadjusted = np.empty((2, len(data)))
-    for k, term in enumerate(data):
-        *_, excess[k], unadjusted[k] = compare_term(term, center, rotation, translation)
+    _compare_all(*concatenate_terms(data), center, rotation, translation, excess, unadjusted)
     return excess, unadjusted
+
+
+@kernel
+def _compare_all(
+    x: FloatArray,
+    y: FloatArray,
+    offsets: IntArray,
+    rotations_x: FloatArray,
+    rotations: FloatArray,
+    centers_x: FloatArray,
+    centers: FloatArray,
+    focal: FloatArray,
+    center: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    excess: FloatArray,
+    unadjusted: FloatArray,
+) -> None:
+    """Write the excess (T,) and the unadjusted excess (T,) of concatenated terms (`measure_excess`)."""
+    for t in range(len(focal)):
+        before, after = x[offsets[t] : offsets[t + 1]], y[offsets[t] : offsets[t + 1]]
+        usable = find_usable(before, after, focal[t])
+        moved = _transfer_motion(
+            rotations_x[t], rotations[t], centers_x[t], centers[t], center, rotation, translation
+        )
+        compared = compare_motions(before[usable], after[usable], focal[t], moved[0], moved[1], 0.0)
+        excess[t], unadjusted[t] = compared[3], compared[4]
 
 
 def compare_term(
@@ -212,9 +238,24 @@ def transfer_motion(
     term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the joint motion in the axes of a camera, (3, 3) and (3,), in units of the object's distance."""
-    before, after = term.center_x - center, term.center - center
-    moved = (rotation @ before - after + translation) / np.linalg.norm(after)
-    return term.rotation @ rotation @ term.rotation_x.T, term.rotation @ moved
+    views = term.rotation_x, term.rotation, term.center_x, term.center
+    return _transfer_motion(*views, center, rotation, translation)
+
+
+@kernel
+def _transfer_motion(
+    rotation_x: FloatArray,
+    rotation_y: FloatArray,
+    center_x: FloatArray,
+    center_y: FloatArray,
+    center: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the joint motion in the axes of a camera, whose pose in both frames is given (`transfer_motion`)."""
+    after, turned = center_y - center, np.dot(rotation_y, rotation)
+    moved = np.dot(turned, center_x - center) + np.dot(rotation_y, translation - after)
+    return np.dot(turned, rotation_x.T), moved / np.sqrt(dot(after, after))
 
 
 @kernel

@@ -130,10 +130,12 @@ def _compare_all(data: Sequence[TermData], solution: Solution, rejected: BoolArr
 
 def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
     """Return whether a motion before a background is too small to be evidence against a camera."""
+    if not fit.static_ratio > 0.0:
+        return False
     moved = [
         term.focal * np.linalg.norm((term.y - term.x)[w > 0], axis=1) for term, w in zip(data, fit.weights, strict=True)
     ]
-    return fit.static_ratio > 0.0 and not float(np.median(np.concatenate(moved))) > MAX_STATIC_PX
+    return not float(np.median(np.concatenate(moved))) > MAX_STATIC_PX
 
 
 def _select_moved(data: Sequence[TermData]) -> list[TermData]:

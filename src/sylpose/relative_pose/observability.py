@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import invert_information
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
-from sylpose.geometry.numba_linalg import kernel, so3_log
+from sylpose.geometry.numba_linalg import cholesky_solve, dot, kernel, so3_log, symmetric_eigen
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import IrlsFit
 from sylpose.relative_pose.terms import Fit, Stack
@@ -54,16 +53,45 @@ def find_unobservable_motions(
     (`UNOBSERVABLE_RATIO`): even the sign of its contribution is then uncertain. A translation without rotation has no
     observable length; a rotation within its noise must not suggest one.
     """
+    size, is_observable, has_rotation = _measure_observability(rotation, translation, information, without_depth, radius)
+    if is_observable and has_rotation:
+        return np.empty((0, 6))
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    rotvec, length = np.empty(3), float(np.linalg.norm(translation))
-    so3_log(rotation, rotvec)
-    size = np.hypot(radius * np.linalg.norm(rotvec), length)
     directions = find_unobservable_directions(without_depth, UNOBSERVABLE_RATIO * size * scale)
-    if len(directions) == 0 and length > radius * np.linalg.norm(rotvec):
-        rotation_information = np.linalg.inv(invert_information(information)[:3, :3])
-        if rotvec @ rotation_information @ rotvec < MIN_ROTATION_SQUARE:
-            directions = np.concatenate([np.zeros(3), translation / length])[None]
+    if len(directions) == 0 and not has_rotation:
+        directions = np.concatenate([np.zeros(3), translation / np.linalg.norm(translation)])[None]
     return np.asarray(directions * scale)
+
+
+@kernel
+def _measure_observability(
+    rotation: FloatArray, translation: FloatArray, information: FloatArray, without_depth: FloatArray, radius: float
+) -> tuple[float, bool, bool]:
+    """Return the size of a motion, and whether it is observable; see `find_unobservable_motions`.
+
+    Returns:
+        displacement of the surface; whether the standard deviation of no direction exceeds the limit; whether the rotation
+        is larger than the translation, or than its noise.
+    """
+    rotvec, scaled, values = np.empty(3), np.empty((6, 6)), np.empty(6)
+    so3_log(rotation, rotvec)
+    turn, length = radius * np.sqrt(dot(rotvec, rotvec)), np.sqrt(dot(translation, translation))
+    size = np.hypot(turn, length)
+    for i in range(6):
+        for j in range(6):
+            units = (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
+            scaled[i, j] = without_depth[i, j] * (UNOBSERVABLE_RATIO * size) ** 2 / units
+    symmetric_eigen(scaled, values, np.empty((6, 6)))
+    # The rotation's information, the translation eliminated.
+    coupled, square = np.zeros(6), 0.0
+    for i in range(6):
+        for j in range(3):
+            coupled[i] += information[i, j] * rotvec[j]
+        square += coupled[i] * rotvec[i] if i < 3 else 0.0
+    factor, eliminated = information[3:, 3:].copy(), coupled[3:].copy()
+    if cholesky_solve(factor, eliminated):
+        square -= dot(coupled[3:], eliminated)
+    return size, values[0] >= 1.0, not length > turn or square >= MIN_ROTATION_SQUARE
 
 
 @kernel

@@ -182,15 +182,17 @@ def exceeds_chance(
     """
     if not cost < np.inf:
         return False
-    # One or two matches of a camera cannot be permuted.
-    indices = [first + np.flatnonzero(usable[first:last]) for first, last in pairwise(stack.offsets.tolist())]
-    permuted, is_permuted = [index for index in indices if len(index) > 2], np.zeros(len(usable), bool)
-    n, unknowns = int(usable.sum()), N_MOTION + sum(len(index) > 0 for index in indices) * (DEPTH_MODEL_SIZE + 1)
-    choices = -betaln(inliers + 1.0, n - inliers + 1.0) - np.log(n + 1.0)
+    n = int(np.count_nonzero(usable))
     # As many inliers as unknowns can be selected, and as many again.
-    is_majority = inliers >= MOST * n and inliers > 2 * N_MOTION
-    if is_majority or -cost > CHANCE_LIKELIHOOD_FACTOR * (choices + 0.5 * unknowns * np.log(n)):
+    if inliers >= MOST * n and inliers > 2 * N_MOTION:
         return True
+    indices = [first + np.flatnonzero(usable[first:last]) for first, last in pairwise(stack.offsets.tolist())]
+    unknowns = N_MOTION + sum(len(index) > 0 for index in indices) * (DEPTH_MODEL_SIZE + 1)
+    choices = -betaln(inliers + 1.0, n - inliers + 1.0) - np.log(n + 1.0)
+    if -cost > CHANCE_LIKELIHOOD_FACTOR * (choices + 0.5 * unknowns * np.log(n)):
+        return True
+    # One or two matches of a camera cannot be permuted.
+    permuted, is_permuted = [index for index in indices if len(index) > 2], np.zeros(len(usable), bool)
     for index in permuted:
         is_permuted[index] = True
     costs = list[float]()

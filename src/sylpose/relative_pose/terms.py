@@ -257,7 +257,7 @@ def stack_initial_motions(motions: Sequence[tuple[FloatArray, FloatArray]]) -> I
     return InitialMotions(rotations.reshape(-1, 3, 3), translations.reshape(-1, 3))
 
 
-def _concatenate(data: Sequence[TermData]) -> tuple[Any, ...]:
+def concatenate_terms(data: Sequence[TermData]) -> tuple[Any, ...]:
     """Return x, y, offsets, the rotations and centers in both frames, and the focal lengths of T terms, as in `Stack`."""
     names = "x", "y", "rotation_x", "rotation", "center_x", "center"
     x, y, qx, qy, centers_x, centers = (np.concatenate([getattr(term, name) for term in data]) for name in names)
@@ -275,7 +275,7 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, min
         min_sigma_px: lower bound of the noise, pixels.
     """
     n, k = len(data), DEPTH_MODEL_SIZE
-    *views, centers_x, centers, focal = _concatenate(data)
+    *views, centers_x, centers, focal = concatenate_terms(data)
     shapes: Sequence[Any] = ((n, 2), n, n, (n, k), (n, k, k), n, n, (n, 3), (n, 3), n)
     relative_centers = centers_x - center, centers - center
     stack = Stack._make(
@@ -400,7 +400,7 @@ def locate_object(data: Sequence[TermData], center: FloatArray | None = None) ->
         center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
         radius, length units: twice the median distance of the points from it.
     """
-    x, _, offsets, rotations, _, centers, *_ = _concatenate(data)
+    x, _, offsets, rotations, _, centers, *_ = concatenate_terms(data)
     found = np.empty(3) if center is None else np.array(center, dtype=float)
     return found, float(_locate_from_rays(x, offsets, rotations, centers, center is not None, found))
 

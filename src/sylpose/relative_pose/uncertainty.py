@@ -125,6 +125,8 @@ def find_likeliest_alternative(
         information: (6, 6) of the fit.
         radius: of the object.
     """
+    if np.count_nonzero(np.isfinite(minima.costs)) < 2:
+        return None
     best_one = int(np.argmin(minima.costs))
     excess_inliers = np.maximum(minima.inliers[best_one] - minima.inliers, 0.0)
     # The noise is estimated from the same residuals: with few degrees of freedom, that exaggerates differences.
