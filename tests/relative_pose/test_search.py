@@ -124,7 +124,7 @@ def find_scene_minima(
 ) -> list[Minimum]:
     """Return the likeliest minima of all matches, best first."""
     minima = make_minima(max_minima, len(stack.focal))
-    count = search_minima(stack, make_moment_sums(stack, sigma_px), stack_initial_motions(guesses), minima)
+    count, _ = search_minima(stack, make_moment_sums(stack, sigma_px), stack_initial_motions(guesses), minima, True)
     return [
         Minimum(Candidate(*motion), float(value), count)
         for *motion, value in zip(*minima, strict=True)
@@ -218,6 +218,24 @@ def test_number_of_minima_does_not_change_them() -> None:
             for a, b in zip(few, many, strict=False):
                 np.testing.assert_array_equal(a.rotation, b.rotation)
                 assert a.likelihood == b.likelihood
+
+
+def test_starts_end_when_another_minimum_is_unlikely() -> None:
+    """With one minimum soon, with two late, with more after all starts."""
+    shares = dict[str, list[float]]()
+    for name, rig, body in (("ring", ring(4), BODY), ("arc", arc(2, 30), cloud())):
+        for seed in range(6):
+            stack, _ = stack_scene(rig, make_scene(seed, rig, body))
+            minima, all_minima = make_minima(4, len(stack.focal)), make_minima(4, len(stack.focal))
+            sums, guesses = make_moment_sums(stack, 0.5), stack_initial_motions([])
+            count, is_complete = search_minima(stack, sums, guesses, minima, False)
+            full_count, is_full = search_minima(stack, sums, guesses, all_minima, True)
+            n_minima = np.isfinite(minima.likelihoods).sum()
+            assert is_full
+            assert is_complete == (n_minima > 2) == (count == full_count), (name, seed)
+            assert minima.likelihoods[0] == pytest.approx(all_minima.likelihoods[0], abs=1e-3)
+            shares.setdefault(name, []).append(count / full_count)
+    assert np.mean(shares["ring"]) < 0.6 < np.mean(shares["arc"])
 
 
 # --- bounded work -----------------------------------------------------------------------------------------------------

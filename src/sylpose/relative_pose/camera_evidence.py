@@ -183,12 +183,17 @@ def measure_excess(
         (T,) the excess; (T,) the unadjusted excess (`compare_motions`); NaN without evidence.
     """
     excess, unadjusted = np.empty((2, len(data)))
-    _compare_all(*concatenate_terms(data), center, rotation, translation, excess, unadjusted)
+    _compare_all(excess, unadjusted, center, rotation, translation, *concatenate_terms(data))
     return excess, unadjusted
 
 
 @kernel
 def _compare_all(
+    excess: FloatArray,
+    unadjusted: FloatArray,
+    center: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
     x: FloatArray,
     y: FloatArray,
     offsets: IntArray,
@@ -197,19 +202,12 @@ def _compare_all(
     centers_x: FloatArray,
     centers: FloatArray,
     focal: FloatArray,
-    center: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-    excess: FloatArray,
-    unadjusted: FloatArray,
 ) -> None:
     """Write the excess (T,) and the unadjusted excess (T,) of concatenated terms (`measure_excess`)."""
     for t in range(len(focal)):
         before, after = x[offsets[t] : offsets[t + 1]], y[offsets[t] : offsets[t + 1]]
         usable = find_usable(before, after, focal[t])
-        moved = _transfer_motion(
-            rotations_x[t], rotations[t], centers_x[t], centers[t], center, rotation, translation
-        )
+        moved = _transfer_motion(rotations_x[t], rotations[t], centers_x[t], centers[t], center, rotation, translation)
         compared = compare_motions(before[usable], after[usable], focal[t], moved[0], moved[1], 0.0)
         excess[t], unadjusted[t] = compared[3], compared[4]
 

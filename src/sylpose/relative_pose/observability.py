@@ -53,7 +53,9 @@ def find_unobservable_motions(
     (`UNOBSERVABLE_RATIO`): even the sign of its contribution is then uncertain. A translation without rotation has no
     observable length; a rotation within its noise must not suggest one.
     """
-    size, is_observable, has_rotation = _measure_observability(rotation, translation, information, without_depth, radius)
+    size, is_observable, has_rotation = _measure_observability(
+        rotation, translation, information, without_depth, radius
+    )
     if is_observable and has_rotation:
         return np.empty((0, 6))
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)

@@ -21,6 +21,7 @@ from sylpose.relative_pose.irls import (
 )
 from sylpose.relative_pose.limits import (
     CONVERGED_DECREASE,
+    DECREASE_OF_ONE_SD,
     HALF_DIGITS,
     MAX_ROUNDS,
     MAX_SIGMA_GROWTH,
@@ -30,7 +31,7 @@ from sylpose.relative_pose.limits import (
 )
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
 from sylpose.relative_pose.planes import fit_edge_on
-from sylpose.relative_pose.search import MAX_HYPOTHESES, make_minima, search_minima
+from sylpose.relative_pose.search import MAX_HYPOTHESES, Minima, make_minima, search_minima
 from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, MIN_MATCHES, InitialMotions, Stack
 
 # How far the log-likelihood of a minimum to refine may be below the best: the moments, with denominators at the mean rays,
@@ -86,10 +87,9 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         picks: (h, 4) in [0, 1): random numbers that select the seeds' quadruples.
         guesses: initial motions in addition to the built-in ones.
     """
-    fit, k = make_empty_irls_fit(stack), MAX_HYPOTHESES
-    refined = RefinedMinima(np.zeros((k, 3, 3)), np.zeros((k, 3)), np.full(k, np.inf), np.zeros(k))
     n, trial = stack.focal.shape[0], make_empty_irls_fit(stack)
-    sums, first_sigma, minima = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n), make_minima(k, n)
+    sums, first_sigma = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
+    minima = make_minima(MAX_HYPOTHESES, n)
     _select_seeds(stack, usable, picks, trial.weights, first_sigma)
     for t in range(n):
         first, last = stack.offsets[t], stack.offsets[t + 1]
@@ -98,7 +98,30 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         if not sums.moments[t, 8, 8] > 0.0:
             sums.moments[t, 8, 8] = HALF_DIGITS
         sums.variance[t] = (first_sigma[t] / stack.focal[t]) ** 2
-    best, decrease, iterations = np.inf, np.inf, search_minima(stack, sums, guesses, minima)
+    iterations, is_complete = search_minima(stack, sums, guesses, minima, False)
+    result = _fit_minima(stack, usable, first_sigma, iterations, minima, trial)
+    if not is_complete and (result.is_noisy or not result.decrease < DECREASE_OF_ONE_SD):
+        # A likelier motion may have been missed.
+        iterations, _ = search_minima(stack, sums, guesses, minima, True)
+        result = _fit_minima(stack, usable, first_sigma, iterations + result.iterations, minima, trial)
+    return result
+
+
+@kernel
+def _fit_minima(
+    stack: Stack, usable: FloatArray, first_sigma: FloatArray, iterations: int, minima: Minima, trial: IrlsFit
+) -> RobustFit:
+    """Refine the likeliest minima with all matches.
+
+    Args:
+        usable: (N,) 1 for matches that may be inliers, else 0.
+        first_sigma: (T,) noise of the seeds, pixels.
+        iterations: of the search.
+        trial: work arrays.
+    """
+    fit, k = make_empty_irls_fit(stack), MAX_HYPOTHESES
+    refined = RefinedMinima(np.zeros((k, 3, 3)), np.zeros((k, 3)), np.full(k, np.inf), np.zeros(k))
+    best, decrease = np.inf, np.inf
     for m in range(MAX_HYPOTHESES):
         # Refine further minima if they are nearly as likely, or if the first did not converge.
         if not minima.likelihoods[m] > (

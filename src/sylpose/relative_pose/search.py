@@ -4,9 +4,11 @@ The planar part of the cost has no local minimum near the identity, so the searc
 small rotations and transparent bodies cause other minima: mirror images, with the rotation across a camera's axis reversed
 and near and far exchanged, and a family of motions that a plane hardly distinguishes. Random rotations are therefore tried
 as well, with a standard deviation per axis of an eighth to twice the first minimum's angle, every other one after steps
-with the planar part alone, and the likeliest wins.
+with the planar part alone, and the likeliest wins. They end when another start would hardly find another minimum: if N of
+them led to w minima, it does with an expected probability of w (w + 1) / (N (N - 1)).
 
-Source: the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the starts are ours (docs/method/3-pose.md).
+Source: the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the end of the starts, Boender & Rinnooy Kan, "Bayesian
+stopping rules for multistart global optimization methods", 1987; the starts are ours (docs/method/3-pose.md).
 """
 
 from __future__ import annotations
@@ -53,9 +55,15 @@ MAX_COST_RATIO = MAX_SIGMA_GROWTH**2
 INITIAL_DAMPING = 1e-4
 # Maximum number of minima (choice: docs/history/benchmarks.md).
 MAX_HYPOTHESES = 4
-# Rotations to start from, in units of the first minimum's angle (choice: docs/history/benchmarks.md, "Edge-on planes and
-# random starts").
-RANDOM_ROTVECS = 2.0 ** np.linspace(-3.0, 1.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3))
+# Rotations to start from, in units of the first minimum's angle, with and without planar steps in turn (choice:
+# docs/history/benchmarks.md, "Edge-on planes and random starts"). Their sizes are in van der Corput's order: any first ones
+# are of all sizes.
+RANDOM_ROTVECS = (2.0 ** np.linspace(-3.0, 1.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3)))[
+    [2 * int(f"{k:04b}"[::-1], 2) + odd for k in range(16) for odd in (1, 0)]
+]
+# The starts end when another one would find another minimum with less than this probability (choice: sensitivity in
+# docs/history/benchmarks.md, "When the starts end").
+MAX_UNSEEN_SHARE = 0.01
 
 
 class Workspace(NamedTuple):
@@ -286,20 +294,29 @@ def make_minima(max_minima: int, terms: int) -> Minima:
 
 
 @kernel
-def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minima: Minima) -> int:
+def search_minima(
+    stack: Stack, sums: MomentSums, guesses: InitialMotions, minima: Minima, is_thorough: bool
+) -> tuple[int, bool]:
     """Find minima from the identity, from initial motions and from random rotations of about the first minimum's size.
+
+    What is far behind the best one is no minimum, but a start that leads there is one that finds no other.
 
     Args:
         minima: receives the likeliest, best first; unused entries have a likelihood of -inf.
+        is_thorough: whether to use all starts.
 
     Returns:
-        number of iterations.
+        number of iterations; whether all starts were used.
     """
     n, n_guesses = stack.focal.shape[0], guesses.rotations.shape[0]
     candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_workspace(n)
     minima.likelihoods[:] = -np.inf
     angle, rotvec, first_translation, count = 0.0, np.empty(3), np.zeros(3), 0
     for start in range(1 + n_guesses + len(RANDOM_ROTVECS)):
+        n_minima = np.isfinite(minima.likelihoods).sum()
+        unseen_share = n_minima * (n_minima + 1) / max(start * (start - 1), 1)
+        if start > n_guesses and unseen_share < MAX_UNSEEN_SHARE and not is_thorough:
+            return count, False
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
             count, _, _ = descend(stack, sums, True, MAX_STEPS, candidate, INITIAL_DAMPING, workspace)
@@ -312,7 +329,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
                 rotvec[i] = angle * RANDOM_ROTVECS[k, i]
             so3_exp(rotvec, candidate.rotation)
             candidate.translation[:] = first_translation
-            if k % 2 == 1:
+            if k % 2 == 0:
                 done, _, _ = descend(stack, sums, True, CHECK_STEPS, candidate, INITIAL_DAMPING, workspace)
                 count += done
         decrease, damping = np.inf, INITIAL_DAMPING
@@ -336,7 +353,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
             first_translation[:] = candidate.translation
         if np.isfinite(value):
             _insert_minimum(candidate, value, minima)
-    return count
+    return count, True
 
 
 @kernel

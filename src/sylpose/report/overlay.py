@@ -14,7 +14,7 @@ import av
 import cv2
 import numpy as np
 from av.codec.codec import UnknownCodecError
-from av.video.reformatter import Colorspace, VideoReformatter
+from av.video.reformatter import Colorspace
 
 from sylpose.atomic_io import output_errors
 from sylpose.geometry.arrays import FloatArray, Image
@@ -116,7 +116,6 @@ class OverlayWriter:
         self._note = note
         self._layout = _compute_layout(rig, max_width)
         self._blank = np.full((*self._layout.size[::-1], 3), DARK, np.uint8)
-        self._reformatter = VideoReformatter()
         self._count = 0
         self._write_error: OSError | None = None
         # FFmpeg writes the header late; opening the file here reports a write error at once.
@@ -139,8 +138,8 @@ class OverlayWriter:
         # A fragment ends at the next key frame: one second is the most that a kill can lose.
         stream.codec_context.gop_size = max(1, round(rate))
         stream.codec_context.max_b_frames = 0
-        # Players assume this for HD by default; stated explicitly, colors are the same in all of them.
-        stream.codec_context.colorspace = int(Colorspace.ITU709)
+        # That of OpenCV's conversion, which is faster than FFmpeg's; stated, since players assume another for HD.
+        stream.codec_context.colorspace = int(Colorspace.SMPTE170M)
         stream.codec_context.color_range = 1
         self._container, self._stream = container, stream
 
@@ -181,8 +180,8 @@ class OverlayWriter:
         """
         if self._write_error is not None:  # FFmpeg would continue with a file that has no header, and crash
             raise self._write_error
-        frame = av.VideoFrame.from_numpy_buffer(self.draw(images, objects), format="bgr24")
-        frame = self._reformatter.reformat(frame, format="yuv420p", dst_colorspace=Colorspace.ITU709)
+        planes = np.asarray(cv2.cvtColor(self.draw(images, objects), cv2.COLOR_BGR2YUV_I420), np.uint8)
+        frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
         frame.pts = self._count
         frame.time_base = 1 / self._stream.codec_context.framerate
         self._count += 1

@@ -66,7 +66,7 @@ OTHER_SIDE_ROTATION = np.radians(10.0)
 # started from or that a refinement changed, and of features, whose depths have to be known to it (choice).
 SAME_PLACE_RATIO = 0.3
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
-# (choice).
+# (derived: the fewest with the velocity of this frame).
 VELOCITY_ROUNDS = 2
 # Noise at which inliers of a pose count nothing, as a share of the object's radius in the image, and minimum pixels.
 # Features near a wrong pose are spread evenly over the search radius: their rms distance is six tenths of it (derived).
