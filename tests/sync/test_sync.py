@@ -195,7 +195,7 @@ def screw_motion(frame: float) -> RigidTransform:
 
 def record_videos(folder: Path, path: Callable[[float], RigidTransform], late: FloatArray, frames: int) -> Path:
     rig = arc(len(late), 40, 1.5, 350, (320, 240), height=0.4)
-    scene = Scene(rig, (Actor(chamfered_box([0.3, 0.22, 0.26], 300), path),), frames, 3)
+    scene = Scene(rig, (Actor(chamfered_box([0.3, 0.22, 0.26], 300), path),), frames, 5)
     write_recording(Recording(scene, time_offsets=tuple(late / RATE)), folder)
     return folder
 

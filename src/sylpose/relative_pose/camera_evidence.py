@@ -183,7 +183,8 @@ def measure_excess(
         (T,) the excess; (T,) the unadjusted excess (`compare_motions`); NaN without evidence.
     """
     excess, unadjusted = np.empty((2, len(data)))
-    _compare_all(excess, unadjusted, center, rotation, translation, *concatenate_terms(data))
+    if data:
+        _compare_all(excess, unadjusted, center, rotation, translation, *concatenate_terms(data))
     return excess, unadjusted
 
 
