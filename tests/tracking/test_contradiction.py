@@ -20,13 +20,20 @@ from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
+from sylpose.tracking import map_update
 from sylpose.tracking.camera_side import frame as frame_module
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, add_evidence
 from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion
-from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame, compute_viewpoints
+from sylpose.tracking.joint_side.joint_state import JointState, ObjectMotion, SolvedFrame, compute_viewpoints
 from sylpose.tracking.joint_side.object_model import ObjectModel
-from sylpose.tracking.map_update import _is_rig_contradicted, add_f_ratio, is_contradicted, measure_f_ratio
+from sylpose.tracking.map_update import (
+    _is_rig_contradicted,
+    _pool_evidence,
+    add_f_ratio,
+    is_contradicted,
+    measure_f_ratio,
+)
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import Tracker, track
@@ -193,3 +200,26 @@ def test_last_frames_are_pooled() -> None:
     for _ in range(8):
         ratios, pooled = add_f_ratio(ratios, 1.0, TrackingOptions())
     assert pooled == 1.0
+
+
+def test_frames_since_the_object_was_found_again_are_pooled_on_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The frames before show the pose that was lost, and may agree."""
+    context = cast("Context", SimpleNamespace(options=TrackingOptions()))
+    monkeypatch.setattr(map_update, "measure_f_ratio", lambda *_: 20.0)
+    state, pooled = JointState(f_ratios=(0.0,) * 15, new_f_ratios=(0.0,) * 9), list[float]()
+    for n_missed in (0, 2, 0, 0, 0, 1):
+        state, value = _pool_evidence(context, replace(state, motion=ObjectMotion(n_missed=n_missed)), [])
+        pooled.append(value)
+    assert pooled[:3] == [0.0] * 3
+    assert pooled[3:5] == [20.0] * 2
+    assert len(state.new_f_ratios) == 1
+    assert len(state.f_ratios) == TrackingOptions().n_pooled_f_ratios
+
+
+def test_nothing_is_predicted_from_a_contradicted_pose(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    blank = tuple(np.zeros_like(image) for image in clip.images[0])
+    frames = frame_sets([*clip.images, blank, blank])
+    assert statuses(track(frames, clip.rig, clip.boxes))[-3:] == [FrameStatus.TRACKED, *[FrameStatus.COASTING] * 2]
+    monkeypatch.setattr(map_update, "measure_f_ratio", lambda *_: 2.0 * MAX_F_RATIO)
+    contradicted = statuses(track(frames, clip.rig, clip.boxes))
+    assert contradicted[-3:] == [FrameStatus.CONTRADICTED, *[FrameStatus.LOST] * 2]

@@ -12,6 +12,7 @@ from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box
 from sylpose.status import FrameStatus
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.tracker import track
 from tests.clips import (
     BLACK,
@@ -75,6 +76,20 @@ def test_all_cameras_missing_temporarily(clip: Clip, method: str) -> None:
     assert statuses(tracked) == [FrameStatus.FIRST, *expected]
     assert_valid(tracked)
     assert np.median(compute_pose_errors(tracked, clip.truth)[:, 0]) < HALF_DEGREE
+
+
+def test_object_found_again_roughly_keeps_its_known_features(clip: Clip) -> None:
+    """Nothing is learned from a rough pose, but the next frame is matched with its features."""
+    images: list[Images] = [(None,) * 3 if k in (4, 5) else frame for k, frame in enumerate(clip.images)]
+    never = TrackingOptions(max_relocalized_rotation_sd=1e-9)
+    tracked = list(track(frame_sets(images), clip.rig, clip.boxes, options=never))
+    assert tracked[6].pose.status is FrameStatus.RELOCALIZED
+    known = [{*np.concatenate([f.observations[c].landmark_ids for f in tracked[:4]]).tolist()} for c in range(3)]
+    found = [{*tracked[6].observations[c].landmark_ids.tolist()} for c in range(3)]
+    assert all(own <= before for own, before in zip(found, known, strict=True))
+    assert sum(map(len, found)) > 50
+    assert statuses(tracked[7:]) == [FrameStatus.TRACKED] * (FRAMES - 7)
+    assert compute_pose_errors(tracked, clip.truth)[-1, 0] < HALF_DEGREE
 
 
 @pytest.mark.parametrize(

@@ -107,8 +107,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     if moves_first and state.object.is_bounded and is_mostly_outside(context, state, frame, candidate.pose):
         state = replace(state, ambiguity=OUTSIDE_REASON)
     inflation, f_ratio = _compute_inflation(candidate), measure_f_ratio(agreements)
-    f_ratios, pooled = add_f_ratio(state.f_ratios, measure_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
-    state = replace(state, f_ratios=f_ratios)
+    state, pooled = _pool_evidence(context, state, agreements)
     accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
     reobserved = [
@@ -165,9 +164,23 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     elif accepted.solved.is_contradicted or is_mostly or is_rig_contradicted:
         reason = _describe_contradiction(context, state, f_ratio, pooled)
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
+    new_state = replace(new_state, is_unreliable=result.status in (FrameStatus.AMBIGUOUS, FrameStatus.CONTRADICTED))
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
+
+
+def _pool_evidence(context: Context, state: JointState, agreements: Agreements) -> tuple[JointState, float]:
+    """Add the F ratio of a pose to those of the last frames; return the state and the pooled ratio, NaN if unknown.
+
+    Where the object was found again it may be found wrongly, whatever the frames before show: those since then count on
+    their own as well.
+    """
+    f_ratio = measure_f_ratio(agreements, MIN_KEPT_POOLED)
+    f_ratios, pooled = add_f_ratio(state.f_ratios, f_ratio, context.options)
+    previous = () if state.motion.n_missed else state.new_f_ratios
+    new_f_ratios, new_pooled = add_f_ratio(previous, f_ratio, context.options)
+    return replace(state, f_ratios=f_ratios, new_f_ratios=new_f_ratios), float(np.fmax(pooled, new_pooled))
 
 
 def _describe_contradiction(context: Context, state: JointState, f_ratio: float, pooled: float) -> str:
@@ -178,7 +191,9 @@ def _describe_contradiction(context: Context, state: JointState, f_ratio: float,
     if f_ratio > limit:
         return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {limit:.0f})"
     if pooled > context.options.max_pooled_f_ratio:
-        return f"in most of the last {len(state.f_ratios)} frames with evidence the cameras see different motions"
+        is_new = not float(pool_f_ratios(np.array(state.f_ratios))) >= pooled
+        n_frames = len(state.new_f_ratios if is_new else state.f_ratios)
+        return f"in most of the last {n_frames} frames with evidence the cameras see different motions"
     return "tracked from frames in which the cameras see different motions"
 
 
@@ -186,9 +201,9 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
     """Accept a pose, with its covariance and the evidence against it."""
     agreements, pose, frame = candidate.agreements, candidate.pose, candidate.frame
     rotation_sd = np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max())
-    # Except at the start with a known object, little is learned from the first pose of a missing object.
-    is_relocalized = state.motion.n_missed > 0 and not state.last.is_fixed
-    is_uncertain = is_relocalized and rotation_sd > context.options.max_relocalized_rotation_sd
+    # Except at the start with a known object, nothing is learned from poses of a missing object until one is certain.
+    is_found_again = (state.motion.n_missed > 0 or state.last.is_uncertain) and not state.last.is_fixed
+    is_uncertain = is_found_again and rotation_sd > context.options.max_relocalized_rotation_sd
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -199,6 +214,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         np.array([a.has_features for a in agreements]) & (candidate.has_moved and not is_uncertain),
         compute_full_weight_age([a.ages for a in agreements]),
         is_contradicted=is_contradicted(agreements, state.frames.by_number, state.last, context.options),
+        is_uncertain=is_uncertain,
         twist=candidate.twist,
     )
     return AcceptedPose(
@@ -329,8 +345,8 @@ def handle_missing_object(
 ) -> FrameResult:
     """Handle a frame in which the object was not found.
 
-    The pose is extrapolated until it becomes too uncertain. If only static features agreed with a pose, none is
-    reported.
+    The pose is extrapolated until it becomes too uncertain. None is reported if only static features agreed with one, or if
+    the last one was ambiguous or contradicted.
 
     Args:
         frame: with its search regions.
@@ -342,7 +358,7 @@ def handle_missing_object(
     is_background_only = state.motion.is_background_only
     state, covariance = state.coast(frame.time, context.options)
     detections, radius = [camera.detections for camera in context.cameras], state.object.radius
-    if is_background_only or state.motion.is_lost:
+    if is_background_only or state.motion.is_lost or state.is_unreliable:
         status = FrameStatus.BACKGROUND_ONLY if is_background_only else FrameStatus.LOST
         return state, create_unsolved_frame(context, frame, status, detections, radius)
     coasting = FrameStatus.COASTING

@@ -650,12 +650,13 @@ class CameraTracker:
         """Collect the features that were observed before, and learn background and noise."""
         if solution.first_landmarks is not None:
             self.table.update(solution.first_landmarks)
-        if not accepted.updates_map:
+        if not accepted.has_moved:
             return ReobservedFeatures.empty()
         current = solution.current
-        if accepted.has_new_features:
-            self.learn_background(solution.pairs, current, accepted.motion)
-        self.update_noise(accepted.agreements[self.index].residual_px)
+        if not accepted.is_uncertain:
+            if accepted.has_new_features:
+                self.learn_background(solution.pairs, current, accepted.motion)
+            self.update_noise(accepted.agreements[self.index].residual_px)
         return ReobservedFeatures.from_matches(
             solution.pairs, solution.weights, current.static_px, accepted.motion.radius
         )
@@ -679,12 +680,16 @@ class CameraTracker:
             begins_anchor: whether the frame becomes the anchor.
         """
         number, updates_map = accepted.solved.number, accepted.updates_map
-        current, tracked = solution.current if updates_map else self.create_empty_frame(), solution.tracked
+        current, tracked = solution.current if accepted.has_moved else self.create_empty_frame(), solution.tracked
         pose, weights = accepted.solved.world_from_object, [w for w, _ in solution.weights]
         if tracked is not None and not accepted.has_new_features:
             # Until the object has moved, disagreeing features may be the object's and the others background.
             self.anchor = advance_anchor(tracked, solution.pairs if updates_map else [], weights if updates_map else [])
-        self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
+        before = None if tracked is None else tracked.previous_pixels
+        if accepted.is_uncertain:
+            (reobserved, current), before = reobserved.omit_new_features(current), None
+        else:
+            self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
         # No more features of an uncertain pose are added later.
         self.view = (None, None) if accepted.is_uncertain else self.view_of(accepted.images)
         self.frames[number], self.windows = current, None
@@ -692,7 +697,6 @@ class CameraTracker:
         self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
         if begins_anchor:
             self.set_anchor(number, accepted.images, tracked if updates_map else None)
-        before = None if tracked is None else tracked.previous_pixels
         detected = collect_detected_features(solution.current.features, solution.pairs, weights)
         return CameraRecord(
             select_shown_matches(reobserved.inliers, current, accepted.last_number, before),

@@ -246,6 +246,7 @@ class SolvedFrame:
         landmark_age: typical number of frames in which the landmarks used for its pose were observed.
         is_fixed: whether joint refinement keeps its pose fixed, as for keyframes transferred from another rig.
         is_contradicted: whether the cameras contradict its pose, or those of all earlier frames that support it.
+        is_uncertain: whether the object was found again, but not well enough since to learn from it.
         twist: (6,) per second, of the object at `time`; NaN if it is unknown or changes too much for the time offsets.
     """
 
@@ -259,6 +260,7 @@ class SolvedFrame:
     landmark_age: float = 1.0
     is_fixed: bool = False
     is_contradicted: bool = False
+    is_uncertain: bool = False
     twist: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
     def camera_from_object(self, camera: Camera, c: int) -> FloatArray | None:
@@ -600,6 +602,8 @@ class JointState:
         is_feature_poor: whether features of normal contrast are barely enough for tracking.
         ambiguity: why another body might be the object; empty if it is certain.
         f_ratios: the last known F ratios (`camera_evidence`).
+        new_f_ratios: those since the object was last found again.
+        is_unreliable: whether the last pose is ambiguous or contradicted.
     """
 
     object: ObjectModel = field(default_factory=ObjectModel)
@@ -610,6 +614,8 @@ class JointState:
     is_feature_poor: bool = False
     ambiguity: str = ""
     f_ratios: tuple[float, ...] = ()
+    new_f_ratios: tuple[float, ...] = ()
+    is_unreliable: bool = False
 
     @property
     def last(self) -> SolvedFrame:
@@ -729,6 +735,7 @@ class JointState:
             ),
             refinement=Refinement(rests_on_prior=self.refinement.rests_on_prior),
             f_ratios=(),  # those contradicted the guess, not the rig
+            new_f_ratios=(),
         )
 
     # --- joint refinement ---------------------------------------------------------------------------------------------
