@@ -506,7 +506,7 @@ def _save_object() -> bytes:
             landmark_age=3.0,
             is_fixed=True,
             is_contradicted=False,
-            is_uncertain=False,
+            n_uncertain=0,
             **empty,
         )
         for k in range(2)

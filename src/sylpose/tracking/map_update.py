@@ -201,9 +201,12 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
     """Accept a pose, with its covariance and the evidence against it."""
     agreements, pose, frame = candidate.agreements, candidate.pose, candidate.frame
     rotation_sd = np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max())
-    # Except at the start with a known object, nothing is learned from poses of a missing object until one is certain.
-    is_found_again = (state.motion.n_missed > 0 or state.last.is_uncertain) and not state.last.is_fixed
-    is_uncertain = is_found_again and rotation_sd > context.options.max_relocalized_rotation_sd
+    # Except at the start with a known object, nothing is learned from poses of a missing object until one is certain, or
+    # until enough frames show whether the cameras agree.
+    n_uncertain = 0 if state.motion.n_missed else state.last.n_uncertain
+    is_found_again = state.motion.n_missed > 0 or 0 < n_uncertain < MIN_POOLED
+    is_rough = rotation_sd > context.options.max_relocalized_rotation_sd
+    is_uncertain = bool(is_found_again and is_rough and not state.last.is_fixed)
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -214,7 +217,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         np.array([a.has_features for a in agreements]) & (candidate.has_moved and not is_uncertain),
         compute_full_weight_age([a.ages for a in agreements]),
         is_contradicted=is_contradicted(agreements, state.frames.by_number, state.last, context.options),
-        is_uncertain=is_uncertain,
+        n_uncertain=n_uncertain + 1 if is_uncertain else 0,
         twist=candidate.twist,
     )
     return AcceptedPose(

@@ -246,7 +246,7 @@ class SolvedFrame:
         landmark_age: typical number of frames in which the landmarks used for its pose were observed.
         is_fixed: whether joint refinement keeps its pose fixed, as for keyframes transferred from another rig.
         is_contradicted: whether the cameras contradict its pose, or those of all earlier frames that support it.
-        is_uncertain: whether the object was found again, but not well enough since to learn from it.
+        n_uncertain: number of frames since the object was found again, to this one, from which nothing was learned.
         twist: (6,) per second, of the object at `time`; NaN if it is unknown or changes too much for the time offsets.
     """
 
@@ -260,7 +260,7 @@ class SolvedFrame:
     landmark_age: float = 1.0
     is_fixed: bool = False
     is_contradicted: bool = False
-    is_uncertain: bool = False
+    n_uncertain: int = 0
     twist: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
     def camera_from_object(self, camera: Camera, c: int) -> FloatArray | None:
