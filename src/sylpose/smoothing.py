@@ -294,8 +294,8 @@ def _apply_result(
     # The refinement reduces only the share of a track's errors that frames do not have in common. Other errors of poses
     # that are uncertain as tracked are reduced; fixed frames are not refined.
     share = correlate_errors(observations, result)
-    is_sure = np.array([frames[k].pose.status in (FrameStatus.TRACKED, FrameStatus.RELOCALIZED) for k in used])
-    has_common = is_sure & (share > 0.0) & ~is_fixed
+    is_localized = np.array([frames[k].pose.status in (FrameStatus.TRACKED, FrameStatus.RELOCALIZED) for k in used])
+    has_common = is_localized & (share > 0.0) & ~is_fixed
     has_common &= result.connected & np.isfinite(tracked_covariance).all(axis=(1, 2))
     has_common[0] = False  # the reference
     for i in np.flatnonzero(has_common).tolist():

@@ -119,7 +119,7 @@ _TEXTS: dict[_Described, str] = {
     "the frame contradicts the rest of the recording.",
     FrameStatus.AMBIGUOUS: "Several bodies move at the same time, and which of them is the object is not known: the pose "
     "is that of the one with the most matches.",
-    FrameStatus.LOST: "The object was not found for too long to predict its pose.",
+    FrameStatus.LOST: "The object was not found, for too long to predict its pose or after a pose that is unreliable.",
     FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together to start.",
     FrameStatus.NO_MOTION: "Nothing has moved yet that could be the object: its pose is unknown.",
     FrameStatus.BACKGROUND_ONLY: "Everything observed is static and never moved: it may be background. What moved "

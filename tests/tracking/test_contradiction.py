@@ -204,7 +204,7 @@ def test_last_frames_are_pooled() -> None:
 
 def test_frames_since_the_object_was_found_again_are_pooled_on_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """The frames before show the pose that was lost, and may agree."""
-    context = cast("Context", SimpleNamespace(options=TrackingOptions()))
+    context = cast("Context", SimpleNamespace(options=TrackingOptions(), rig=range(3)))
     monkeypatch.setattr(map_update, "measure_f_ratio", lambda *_: 20.0)
     state, pooled = JointState(f_ratios=(0.0,) * 15, new_f_ratios=(0.0,) * 9), list[float]()
     for n_missed in (0, 2, 0, 0, 0, 1):

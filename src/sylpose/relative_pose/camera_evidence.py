@@ -182,16 +182,23 @@ def measure_excess(
     Returns:
         (T,) the excess; (T,) the unadjusted excess (`compare_motions`); NaN without evidence.
     """
-    excess, unadjusted = np.empty((2, len(data)))
+    compared = compare_terms(data, center, rotation, translation)
+    return compared[:, 3], compared[:, 4]
+
+
+def compare_terms(
+    data: Sequence[TermData], center: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> FloatArray:
+    """Return (T, 5) what `compare_motions` returns for each of T terms; see `measure_excess`."""
+    compared = np.empty((len(data), 5))
     if data:
-        _compare_all(excess, unadjusted, center, rotation, translation, *concatenate_terms(data))
-    return excess, unadjusted
+        _compare_terms(compared, center, rotation, translation, *concatenate_terms(data))
+    return compared
 
 
 @kernel
-def _compare_all(
-    excess: FloatArray,
-    unadjusted: FloatArray,
+def _compare_terms(
+    compared: FloatArray,
     center: FloatArray,
     rotation: FloatArray,
     translation: FloatArray,
@@ -204,22 +211,13 @@ def _compare_all(
     centers: FloatArray,
     focal: FloatArray,
 ) -> None:
-    """Write the excess (T,) and the unadjusted excess (T,) of concatenated terms (`measure_excess`)."""
+    """Compare the motions of concatenated terms (`compare_terms`)."""
     for t in range(len(focal)):
         before, after = x[offsets[t] : offsets[t + 1]], y[offsets[t] : offsets[t + 1]]
         usable = find_usable(before, after, focal[t])
         moved = _transfer_motion(rotations_x[t], rotations[t], centers_x[t], centers[t], center, rotation, translation)
-        compared = compare_motions(before[usable], after[usable], focal[t], moved[0], moved[1], 0.0)
-        excess[t], unadjusted[t] = compared[3], compared[4]
-
-
-def compare_term(
-    term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> tuple[int, float, float, float, float]:
-    """Compare the own motion of a term with the joint one; see `measure_excess` and `compare_motions`."""
-    usable = find_usable(term.x, term.y, term.focal)
-    motion = transfer_motion(term, center, rotation, translation)
-    return compare_motions(term.x[usable], term.y[usable], term.focal, *motion, 0.0)
+        own = compare_motions(before[usable], after[usable], focal[t], moved[0], moved[1], 0.0)
+        compared[t, 0], compared[t, 1], compared[t, 2], compared[t, 3], compared[t, 4] = own
 
 
 def measure_distances(term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -252,9 +250,9 @@ def _transfer_motion(
     translation: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the joint motion in the axes of a camera, whose pose in both frames is given (`transfer_motion`)."""
-    after, turned = center_y - center, np.dot(rotation_y, rotation)
-    moved = np.dot(turned, center_x - center) + np.dot(rotation_y, translation - after)
-    return np.dot(turned, rotation_x.T), moved / np.sqrt(dot(after, after))
+    after, rotated = center_y - center, np.dot(rotation_y, rotation)
+    moved = np.dot(rotated, center_x - center) + np.dot(rotation_y, translation - after)
+    return np.dot(rotated, rotation_x.T), moved / np.sqrt(dot(after, after))
 
 
 @kernel

@@ -27,7 +27,7 @@ from sylpose.relative_pose.camera_evidence import (
     MIN_MATCHES,
     MIN_REDUCTION,
     N_OWN,
-    compare_term,
+    compare_terms,
     compute_f_ratio,
     explains_as_well,
     measure_excess,
@@ -120,7 +120,7 @@ def _compare_all(data: Sequence[TermData], solution: Solution, rejected: BoolArr
         another motion, about as exactly as the others see theirs.
     """
     motion = solution.center, solution.fit.rotation, solution.fit.translation
-    n, own_px, _, excess, _ = np.array([compare_term(term, *motion) for term in data]).T
+    n, own_px, _, excess, _ = compare_terms(data, *motion).T
     agrees = ~rejected & (n > 0)
     noise_px = np.max(own_px, initial=0.0, where=agrees)
     displacement_px = np.array([term.focal * np.median(np.linalg.norm(term.y - term.x, axis=1)) for term in data])

@@ -77,8 +77,8 @@ def _measure_observability(
     """
     rotvec, scaled, values = np.empty(3), np.empty((6, 6)), np.empty(6)
     so3_log(rotation, rotvec)
-    turn, length = radius * np.sqrt(dot(rotvec, rotvec)), np.sqrt(dot(translation, translation))
-    size = np.hypot(turn, length)
+    arc, length = radius * np.sqrt(dot(rotvec, rotvec)), np.sqrt(dot(translation, translation))
+    size = np.hypot(arc, length)
     for i in range(6):
         for j in range(6):
             units = (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
@@ -93,7 +93,7 @@ def _measure_observability(
     factor, eliminated = information[3:, 3:].copy(), coupled[3:].copy()
     if cholesky_solve(factor, eliminated):
         square -= dot(coupled[3:], eliminated)
-    return size, values[0] >= 1.0, not length > turn or square >= MIN_ROTATION_SQUARE
+    return size, values[0] >= 1.0, not length > arc or square >= MIN_ROTATION_SQUARE
 
 
 @kernel

@@ -57,7 +57,7 @@ INITIAL_DAMPING = 1e-4
 MAX_HYPOTHESES = 4
 # Rotations to start from, in units of the first minimum's angle, with and without planar steps in turn (choice:
 # docs/history/benchmarks.md, "Edge-on planes and random starts"). Their sizes are in van der Corput's order: any first ones
-# are of all sizes.
+# contain all sizes.
 RANDOM_ROTVECS = (2.0 ** np.linspace(-3.0, 1.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3)))[
     [2 * int(f"{k:04b}"[::-1], 2) + odd for k in range(16) for odd in (1, 0)]
 ]
@@ -315,7 +315,7 @@ def search_minima(
     for start in range(1 + n_guesses + len(RANDOM_ROTVECS)):
         n_minima = np.isfinite(minima.likelihoods).sum()
         unseen_share = n_minima * (n_minima + 1) / max(start * (start - 1), 1)
-        if start > n_guesses and unseen_share < MAX_UNSEEN_SHARE and not is_thorough:
+        if start > n_guesses and 0.0 < unseen_share < MAX_UNSEEN_SHARE and not is_thorough:
             return count, False
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:

@@ -24,7 +24,7 @@ from sylpose.relative_pose.irls import MAX_REJECTED_SHARE
 from sylpose.relative_pose.limits import MOST
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
-from sylpose.status import FrameStatus, Observability
+from sylpose.status import DOUBTFUL, FrameStatus, Observability
 from sylpose.tracking.box_motion import OUTSIDE_REASON, bound_pose, is_mostly_outside
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
 from sylpose.tracking.camera_side.frame import ReobservedFeatures, compute_full_weight_age, record_observations
@@ -129,6 +129,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     )
     # After relocalization little is known of the other features: the next frame is matched with the keyframes too.
     begins_anchor = frame.has_new_features and context.uses_klt and status is FrameStatus.TRACKED
+    begins_anchor &= not accepted.is_uncertain
     if begins_anchor:
         # Right after the first frame, new features in the boxes are not tracked: they may be background.
         is_sparse = model.is_bounded and state.last.number == state.frames.first.number
@@ -138,7 +139,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     kept = set(new_state.frames.by_number)
     update = partial(CameraTracker.update_map, accepted=accepted, model=model, kept=kept, begins_anchor=begins_anchor)
     records = context.executor.run(update, context.cameras, candidate.cameras, reobserved)
-    if context.refines_window and new_state.is_refinement_due(context.options):
+    if context.refines_window and not accepted.is_uncertain and new_state.is_refinement_due(context.options):
         new_state = refine_window(context, new_state)
     last = new_state.last
     observable = Observability.NO_TRANSLATION_SCALE if new_state.refinement.rests_on_prior else Observability.ALL
@@ -164,14 +165,14 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     elif accepted.solved.is_contradicted or is_mostly or is_rig_contradicted:
         reason = _describe_contradiction(context, state, f_ratio, pooled)
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
-    new_state = replace(new_state, is_unreliable=result.status in (FrameStatus.AMBIGUOUS, FrameStatus.CONTRADICTED))
+    new_state = replace(new_state, is_unreliable=result.status in DOUBTFUL)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
 
 
 def _pool_evidence(context: Context, state: JointState, agreements: Agreements) -> tuple[JointState, float]:
-    """Add the F ratio of a pose to those of the last frames; return the state and the pooled ratio, NaN if unknown.
+    """Add the F ratio of a pose; return the state and the pooled ratio, NaN if unknown.
 
     Where the object was found again it may be found wrongly, whatever the frames before show: those since then count on
     their own as well.
@@ -180,7 +181,11 @@ def _pool_evidence(context: Context, state: JointState, agreements: Agreements) 
     f_ratios, pooled = add_f_ratio(state.f_ratios, f_ratio, context.options)
     previous = () if state.motion.n_missed else state.new_f_ratios
     new_f_ratios, new_pooled = add_f_ratio(previous, f_ratio, context.options)
-    return replace(state, f_ratios=f_ratios, new_f_ratios=new_f_ratios), float(np.fmax(pooled, new_pooled))
+    if (
+        len(context.rig) >= MIN_KEPT_POOLED
+    ):  # of two cameras, three ratios with the least known landmarks decide nothing
+        pooled = float(np.fmax(pooled, new_pooled))
+    return replace(state, f_ratios=f_ratios, new_f_ratios=new_f_ratios), pooled
 
 
 def _describe_contradiction(context: Context, state: JointState, f_ratio: float, pooled: float) -> str:
@@ -349,7 +354,7 @@ def handle_missing_object(
     """Handle a frame in which the object was not found.
 
     The pose is extrapolated until it becomes too uncertain. None is reported if only static features agreed with one, or if
-    the last one was ambiguous or contradicted.
+    the last one is not to be relied on.
 
     Args:
         frame: with its search regions.

@@ -29,7 +29,7 @@ class TrackingOptions:
         max_rival_ratio_monocular: the same for one camera, in which a part of the object fits another motion.
         max_later_ratio: the same for a body that moves at other times, as a person who leaves the scene first.
         max_relocalized_rotation_sd: largest standard deviation of the rotation, radians, of a relocalized pose from
-            which landmarks are learned.
+            which landmarks are learned, and of the next two.
         min_score: least number of inlier features of a pose, weighted by their noise; a different body of the same
             outline has about twenty.
         max_coasting_frames: number of frames for which the pose of a missing object is extrapolated.

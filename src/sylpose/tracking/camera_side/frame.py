@@ -720,14 +720,14 @@ class ReobservedFeatures:
         return cls(inliers, index[pick], best, best.mean[sd[pick] < KNOWN_DEPTH_RATIO * radius])
 
     def omit_new_features(self, current: CameraFrame) -> tuple[ReobservedFeatures, CameraFrame]:
-        """Return these features as all that the frame has, and the frame; its landmarks are as certain as before."""
+        """Return these features, and the frame without any others; the landmarks remain as they are."""
         indices = [np.searchsorted(self.index, pair.indices[:, 1]) for pair in self.inliers]
         inliers = [
             replace(pair, indices=np.column_stack([pair.indices[:, 0], index]))
             for pair, index in zip(self.inliers, indices, strict=True)
         ]
-        ids, background = current.table.update(self.landmarks), current.background[self.index]
-        known = CameraFrame(current.features.subset(self.index), background, current.table, ids, current.noise_px)
+        features, background = current.features.subset(self.index), current.background[self.index]
+        known = CameraFrame(features, background, current.table, self.landmarks.id, current.noise_px)
         return replace(self, inliers=inliers, index=np.arange(len(self.index))), known
 
 

@@ -603,7 +603,7 @@ class JointState:
         ambiguity: why another body might be the object; empty if it is certain.
         f_ratios: the last known F ratios (`camera_evidence`).
         new_f_ratios: those since the object was last found again.
-        is_unreliable: whether the last pose is ambiguous or contradicted.
+        is_unreliable: whether the status of the last pose is one of `DOUBTFUL`.
     """
 
     object: ObjectModel = field(default_factory=ObjectModel)
@@ -736,6 +736,7 @@ class JointState:
             refinement=Refinement(rests_on_prior=self.refinement.rests_on_prior),
             f_ratios=(),  # those contradicted the guess, not the rig
             new_f_ratios=(),
+            is_unreliable=False,
         )
 
     # --- joint refinement ---------------------------------------------------------------------------------------------
