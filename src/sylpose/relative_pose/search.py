@@ -56,8 +56,8 @@ INITIAL_DAMPING = 1e-4
 # Maximum number of minima (choice: docs/history/benchmarks.md).
 MAX_HYPOTHESES = 4
 # Rotations to start from, in units of the first minimum's angle, with and without planar steps in turn (choice:
-# docs/history/benchmarks.md, "Edge-on planes and random starts"). Their sizes are in van der Corput's order: any first ones
-# contain all sizes.
+# docs/history/benchmarks.md, "Edge-on planes and random starts"). Their sizes are in van der Corput's order: the first ones,
+# however many, contain all sizes.
 RANDOM_ROTVECS = (2.0 ** np.linspace(-3.0, 1.0, 32)[:, None] * np.random.default_rng(0).normal(size=(32, 3)))[
     [2 * int(f"{k:04b}"[::-1], 2) + odd for k in range(16) for odd in (1, 0)]
 ]

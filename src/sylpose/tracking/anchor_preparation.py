@@ -48,8 +48,8 @@ from sylpose.tracking.pose_search import PoseCandidate
 def can_prepare(state: JointState) -> bool:
     """Return whether the last frame may become the next anchor."""
     is_idle = state.frames.next_anchor_number is None
-    is_idle = is_idle and not state.last.n_uncertain
-    return is_idle and state.motion.has_moved and not state.object.is_depth_guessed
+    is_learned = state.motion.has_moved and not state.last.n_uncertain
+    return is_idle and is_learned and not state.object.is_depth_guessed
 
 
 def begin_preparation(context: Context, state: JointState, candidate: PoseCandidate) -> JointState:

@@ -128,8 +128,8 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         agreements=agreements,
     )
     # After relocalization little is known of the other features: the next frame is matched with the keyframes too.
-    begins_anchor = frame.has_new_features and context.uses_klt and status is FrameStatus.TRACKED
-    begins_anchor &= not accepted.is_uncertain
+    is_known = status is FrameStatus.TRACKED and not accepted.is_uncertain
+    begins_anchor = frame.has_new_features and context.uses_klt and is_known
     if begins_anchor:
         # Right after the first frame, new features in the boxes are not tracked: they may be background.
         is_sparse = model.is_bounded and state.last.number == state.frames.first.number
@@ -181,9 +181,8 @@ def _pool_evidence(context: Context, state: JointState, agreements: Agreements) 
     f_ratios, pooled = add_f_ratio(state.f_ratios, f_ratio, context.options)
     previous = () if state.motion.n_missed else state.new_f_ratios
     new_f_ratios, new_pooled = add_f_ratio(previous, f_ratio, context.options)
-    if (
-        len(context.rig) >= MIN_KEPT_POOLED
-    ):  # of two cameras, three ratios with the least known landmarks decide nothing
+    # Of two cameras none can be left out: three ratios, with the least known landmarks, decide nothing.
+    if len(context.rig) >= MIN_KEPT_POOLED:
         pooled = float(np.fmax(pooled, new_pooled))
     return replace(state, f_ratios=f_ratios, new_f_ratios=new_f_ratios), pooled
 

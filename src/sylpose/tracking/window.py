@@ -210,8 +210,8 @@ def _select_frames(state: JointState, max_frames: int) -> list[SolvedFrame]:
     keyframes, last = state.frames.keyframes, state.last
     fixed = [frame for frame in keyframes if frame.is_fixed]
     # Frames from which nothing is learned would move the landmarks.
-    candidates = (frame for frame in (*keyframes, *state.frames.recent, last) if not frame.n_uncertain)
-    moving = {frame.number: frame for frame in candidates if not frame.is_fixed}
+    known = (*keyframes, *state.frames.recent, last)
+    moving = {frame.number: frame for frame in known if not (frame.is_fixed or frame.n_uncertain)}
     frames = [moving[number] for number in sorted(moving)]
     if fixed:
         views = last.viewpoints
