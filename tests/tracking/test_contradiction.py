@@ -33,6 +33,7 @@ from sylpose.tracking.map_update import (
     add_f_ratio,
     is_contradicted,
     measure_f_ratio,
+    pool_known,
 )
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
@@ -195,24 +196,23 @@ def test_mismatches_do_not_choose_the_evidence(clip: Clip, monkeypatch: pytest.M
 def test_last_frames_are_pooled() -> None:
     ratios: tuple[float, ...] = ()
     for f_ratio, expected in [(12.0, False), (1.0, False), (12.0, True), (np.nan, True), (1.0, False), (200.0, True)]:
-        ratios, pooled = add_f_ratio(ratios, f_ratio, TrackingOptions())
-        assert (pooled > TrackingOptions().max_pooled_f_ratio) is expected
+        ratios = add_f_ratio(ratios, f_ratio, TrackingOptions())
+        assert (pool_known(ratios) > TrackingOptions().max_pooled_f_ratio) is expected
     for _ in range(8):
-        ratios, pooled = add_f_ratio(ratios, 1.0, TrackingOptions())
-    assert pooled == 1.0
+        ratios = add_f_ratio(ratios, 1.0, TrackingOptions())
+    assert pool_known(ratios) == 1.0
 
 
 def test_frames_since_the_object_was_found_again_are_pooled_on_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """The frames before show the pose that was lost, and may agree."""
     context = cast("Context", SimpleNamespace(options=TrackingOptions(), rig=range(3)))
     monkeypatch.setattr(map_update, "measure_f_ratio", lambda *_: 20.0)
-    state, pooled = JointState(f_ratios=(0.0,) * 15, new_f_ratios=(0.0,) * 9), list[float]()
+    state, pooled = JointState(f_ratios=(0.0,) * 15, n_new_f_ratios=9), list[list[float]]()
     for n_missed in (0, 2, 0, 0, 0, 1):
-        state, value = _pool_evidence(context, replace(state, motion=ObjectMotion(n_missed=n_missed)), [])
+        state, *value = _pool_evidence(context, replace(state, motion=ObjectMotion(n_missed=n_missed)), [])
         pooled.append(value)
-    assert pooled[:3] == [0.0] * 3
-    assert pooled[3:5] == [20.0] * 2
-    assert len(state.new_f_ratios) == 1
+    assert pooled == [*[[0.0, 15]] * 3, [20.0, 3], [20.0, 4], [0.0, 15]]
+    assert state.n_new_f_ratios == 1
     assert len(state.f_ratios) == TrackingOptions().n_pooled_f_ratios
 
 

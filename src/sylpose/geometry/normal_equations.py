@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.numba_linalg import cholesky, leaf, symmetric_eigen
+from sylpose.geometry.numba_linalg import cholesky, kernel, leaf, symmetric_eigen
 
 # A rotation with a larger standard deviation, radians, is unobservable where there is no reference to compare with
 # (choice).
@@ -135,19 +135,30 @@ def find_unobservable_directions(
     Returns:
         (..., k, n) orthonormal rows in units of the limits: multiplied by `limits`, they are in the unknowns' units.
     """
-    in_limits = information * (limits * limits if isinstance(limits, float) else np.outer(limits, limits))
-    if information.ndim == 2:
-        # Usually all is observable, and no eigenvectors are needed. (A Cholesky factor would be faster still, but it
-        # also exists where rounding of the largest eigenvalue hides an unobservable direction.)
-        n = len(in_limits)
-        values = np.empty(n)
-        symmetric_eigen(np.array(in_limits, order="C"), values, np.empty((n, n)))
-        if values[0] >= max(1.0, min_ratio * values[-1]):
-            return np.empty((0, n))
-    values, vectors = np.linalg.eigh(in_limits)
+    scale = np.full(information.shape[-1], limits) if isinstance(limits, float) else limits
+    # Usually all is observable, and no eigenvectors are needed.
+    if information.ndim == 2 and are_all_observable(np.ascontiguousarray(information), scale, min_ratio):
+        return np.empty((0, len(scale)))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     first = values.reshape(-1, values.shape[-1])[0]
     k = int(np.searchsorted(first, max(1.0, min_ratio * first[-1])))
     return vectors[..., :k].swapaxes(-1, -2)
+
+
+@kernel
+def are_all_observable(information: FloatArray, limits: FloatArray, min_ratio: float) -> bool:
+    """Return whether the standard deviation of no direction exceeds the limits; see `find_unobservable_directions`.
+
+    A Cholesky factor would be faster, but it also exists where rounding of the largest eigenvalue hides an unobservable
+    direction.
+    """
+    n = len(limits)
+    scaled, values = np.empty((n, n)), np.empty(n)
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = information[i, j] * limits[i] * limits[j]
+    symmetric_eigen(scaled, values, np.empty((n, n)))
+    return values[0] >= max(1.0, min_ratio * values[-1])
 
 
 def is_length_observable(translations: FloatArray, covariance: FloatArray) -> BoolArray:

@@ -7,8 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
-from sylpose.geometry.numba_linalg import cholesky_solve, dot, kernel, so3_log, symmetric_eigen
+from sylpose.geometry.normal_equations import (
+    UNOBSERVABLE_RATIO,
+    are_all_observable,
+    find_unobservable_directions,
+    has_rotation_direction,
+)
+from sylpose.geometry.numba_linalg import cholesky_solve, dot, kernel, so3_log
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import IrlsFit
 from sylpose.relative_pose.terms import Fit, Stack
@@ -75,15 +80,12 @@ def _measure_observability(
         displacement of the surface; whether the standard deviation of no direction exceeds the limit; whether the rotation
         is larger than the translation, or than its noise.
     """
-    rotvec, scaled, values = np.empty(3), np.empty((6, 6)), np.empty(6)
+    rotvec, limits = np.empty(3), np.empty(6)
     so3_log(rotation, rotvec)
     arc, length = radius * np.sqrt(dot(rotvec, rotvec)), np.sqrt(dot(translation, translation))
     size = np.hypot(arc, length)
     for i in range(6):
-        for j in range(6):
-            units = (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
-            scaled[i, j] = without_depth[i, j] * (UNOBSERVABLE_RATIO * size) ** 2 / units
-    symmetric_eigen(scaled, values, np.empty((6, 6)))
+        limits[i] = UNOBSERVABLE_RATIO * size / (radius if i < 3 else 1.0)
     # The rotation's information, the translation eliminated.
     coupled, square = np.zeros(6), 0.0
     for i in range(6):
@@ -93,7 +95,8 @@ def _measure_observability(
     factor, eliminated = information[3:, 3:].copy(), coupled[3:].copy()
     if cholesky_solve(factor, eliminated):
         square -= dot(coupled[3:], eliminated)
-    return size, values[0] >= 1.0, not length > arc or square >= MIN_ROTATION_SQUARE
+    is_observable = are_all_observable(without_depth, limits, 0.0)
+    return size, is_observable, not length > arc or square >= MIN_ROTATION_SQUARE
 
 
 @kernel

@@ -43,7 +43,7 @@ from sylpose.silhouettes.contours import (
 from sylpose.silhouettes.rendering import draw_mask, reduce_camera, reduce_image, reduce_mask
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import TrackedFrame
-from sylpose.tracking.map_update import add_f_ratio
+from sylpose.tracking.map_update import add_f_ratio, pool_known
 from sylpose.tracking.options import TrackingOptions
 
 # Frames from one search to the next at most (choice: a search takes as long as some thirty frames).
@@ -241,7 +241,8 @@ class ContourTracker:
         counts[cameras], points[cameras], residuals[cameras] = found.inliers, found.points, found.residuals
         own = float(compute_f_ratio(found.excess, 2, N_OWN))
         pooled_with = float(compute_f_ratio(found.excess, MIN_KEPT_POOLED, N_OWN))
-        self._f_ratios, pooled = add_f_ratio(self._f_ratios, pooled_with, self._options)
+        self._f_ratios = add_f_ratio(self._f_ratios, pooled_with, self._options)
+        pooled = pool_known(self._f_ratios)
         reason = ""
         if own > self._options.max_f_ratio or pooled > self._options.max_pooled_f_ratio:
             ratio = own if own > self._options.max_f_ratio else pooled

@@ -107,7 +107,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     if moves_first and state.object.is_bounded and is_mostly_outside(context, state, frame, candidate.pose):
         state = replace(state, ambiguity=OUTSIDE_REASON)
     inflation, f_ratio = _compute_inflation(candidate), measure_f_ratio(agreements)
-    state, pooled = _pool_evidence(context, state, agreements)
+    state, pooled, n_pooled = _pool_evidence(context, state, agreements)
     accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
     reobserved = [
@@ -163,7 +163,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     if state.ambiguity and not is_rig_contradicted:  # under a wrong rig one body looks like several
         result = replace(result, status=FrameStatus.AMBIGUOUS, reason=state.ambiguity)
     elif accepted.solved.is_contradicted or is_mostly or is_rig_contradicted:
-        reason = _describe_contradiction(context, state, f_ratio, pooled)
+        reason = _describe_contradiction(context, state, f_ratio, pooled, n_pooled)
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
     new_state = replace(new_state, is_unreliable=result.status in DOUBTFUL)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
@@ -171,33 +171,34 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
 
 
-def _pool_evidence(context: Context, state: JointState, agreements: Agreements) -> tuple[JointState, float]:
-    """Add the F ratio of a pose; return the state and the pooled ratio, NaN if unknown.
+def _pool_evidence(context: Context, state: JointState, agreements: Agreements) -> tuple[JointState, float, int]:
+    """Add the F ratio of a pose.
 
     Where the object was found again it may be found wrongly, whatever the frames before show: those since then count on
     their own as well.
+
+    Returns:
+        the state; the pooled ratio, NaN if unknown; the number of ratios that it is of.
     """
     f_ratio = measure_f_ratio(agreements, MIN_KEPT_POOLED)
-    f_ratios, pooled = add_f_ratio(state.f_ratios, f_ratio, context.options)
-    previous = () if state.motion.n_missed else state.new_f_ratios
-    new_f_ratios, new_pooled = add_f_ratio(previous, f_ratio, context.options)
+    known = add_f_ratio(state.f_ratios, f_ratio, context.options)
+    n_before = 0 if state.motion.n_missed else state.n_new_f_ratios
+    n_new = min(n_before + (not np.isnan(f_ratio)), len(known))
+    new = known[len(known) - n_new :]
     # Of two cameras none can be left out: three ratios, with the least known landmarks, decide nothing.
-    if len(context.rig) >= MIN_KEPT_POOLED:
-        pooled = float(np.fmax(pooled, new_pooled))
-    return replace(state, f_ratios=f_ratios, new_f_ratios=new_f_ratios), pooled
+    pooled = new if len(context.rig) >= MIN_KEPT_POOLED and pool_known(new) > pool_known(known) else known
+    return replace(state, f_ratios=known, n_new_f_ratios=n_new), pool_known(pooled), len(pooled)
 
 
-def _describe_contradiction(context: Context, state: JointState, f_ratio: float, pooled: float) -> str:
-    """Describe why a frame with an F ratio, its own and the pooled one, is contradicted."""
+def _describe_contradiction(context: Context, state: JointState, f_ratio: float, pooled: float, n_pooled: int) -> str:
+    """Describe why a frame with an F ratio, its own and the one pooled over so many frames, is contradicted."""
     if _is_rig_contradicted(context, state):
         return "in most of the recording the cameras see different motions"
     limit = context.options.max_f_ratio
     if f_ratio > limit:
         return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {limit:.0f})"
     if pooled > context.options.max_pooled_f_ratio:
-        is_new = not float(pool_f_ratios(np.array(state.f_ratios))) >= pooled
-        n_frames = len(state.new_f_ratios if is_new else state.f_ratios)
-        return f"in most of the last {n_frames} frames with evidence the cameras see different motions"
+        return f"in most of the last {n_pooled} frames with evidence the cameras see different motions"
     return "tracked from frames in which the cameras see different motions"
 
 
@@ -297,13 +298,14 @@ def is_contradicted(
     return sum(not known_frames[number].is_contradicted for number in numbers if number in known_frames) < 2
 
 
-def add_f_ratio(
-    f_ratios: tuple[float, ...], f_ratio: float, options: TrackingOptions
-) -> tuple[tuple[float, ...], float]:
-    """Return the last known F ratios with that of one more frame, if it is known; the pooled one, NaN of too few."""
-    if not np.isnan(f_ratio):
-        f_ratios = (*f_ratios, f_ratio)[-options.n_pooled_f_ratios :]
-    return f_ratios, float(pool_f_ratios(np.array(f_ratios))) if len(f_ratios) >= MIN_POOLED else np.nan
+def add_f_ratio(f_ratios: tuple[float, ...], f_ratio: float, options: TrackingOptions) -> tuple[float, ...]:
+    """Return the last known F ratios with that of one more frame, if it is known."""
+    return f_ratios if np.isnan(f_ratio) else (*f_ratios, f_ratio)[-options.n_pooled_f_ratios :]
+
+
+def pool_known(f_ratios: tuple[float, ...]) -> float:
+    """Return the pooled ratio of known F ratios; NaN of too few."""
+    return float(pool_f_ratios(np.array(f_ratios))) if len(f_ratios) >= MIN_POOLED else np.nan
 
 
 def measure_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:

@@ -602,7 +602,7 @@ class JointState:
         is_feature_poor: whether features of normal contrast are barely enough for tracking.
         ambiguity: why another body might be the object; empty if it is certain.
         f_ratios: the last known F ratios (`camera_evidence`).
-        new_f_ratios: those since the object was last found again.
+        n_new_f_ratios: number of those since the object was last found again.
         is_unreliable: whether the status of the last pose is one of `DOUBTFUL`.
     """
 
@@ -614,7 +614,7 @@ class JointState:
     is_feature_poor: bool = False
     ambiguity: str = ""
     f_ratios: tuple[float, ...] = ()
-    new_f_ratios: tuple[float, ...] = ()
+    n_new_f_ratios: int = 0
     is_unreliable: bool = False
 
     @property
@@ -735,7 +735,7 @@ class JointState:
             ),
             refinement=Refinement(rests_on_prior=self.refinement.rests_on_prior),
             f_ratios=(),  # those contradicted the guess, not the rig
-            new_f_ratios=(),
+            n_new_f_ratios=0,
             is_unreliable=False,
         )
 
