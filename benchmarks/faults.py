@@ -128,12 +128,16 @@ def judge(kind: str, findings: RigFindings, faulty: tuple[int, ...], cameras: in
     """Return the outcome, and what was named."""
     named = [fit.hypothesis for fit in findings.explanations]
     blamed = {c for h in named if h.mistake is not Mistake.EXCHANGED for c in h.cameras}
-    blamed |= {*findings.frozen, *findings.still} | ({findings.suspect} - {None})
+    moved = {nudge.camera for nudge in findings.nudges}
+    blamed |= {*findings.frozen, *findings.still} | moved
+    if findings.suspect is not None:
+        blamed.add(findings.suspect)
     details = ", ".join(
         [
             *(f"{h.mistake} {h.cameras or ''} {h.lag or ''}".strip() for h in named),
             *(f"frozen {c}" for c in findings.frozen),
             *(f"still {c}" for c in findings.still),
+            *(f"moved {c}" for c in moved),
             *([] if findings.suspect is None else [f"suspect {findings.suspect}"]),
         ]
     )
@@ -145,7 +149,13 @@ def judge(kind: str, findings: RigFindings, faulty: tuple[int, ...], cameras: in
         affects = not h.cameras or not is_one or h.mistake is Mistake.EXCHANGED or set(h.cameras) <= set(faulty)
         if h.mistake in NAMES.get(kind, ()) and affects:
             return "fault", details
-    if kind in ("frozen", "frozen-later", "motionless-picture") and set(faulty) & {*findings.frozen, *findings.still}:
+    seen = {
+        "frozen": {*findings.frozen},
+        "frozen-later": {*findings.frozen},
+        "motionless-picture": {*findings.still},
+        "bumped": moved,
+    }
+    if seen.get(kind, set()) & set(faulty):
         return "fault", details
     if kind in ONE_CAMERA and blamed & set(faulty):
         return "camera", details

@@ -36,6 +36,7 @@ class Recording:
         boxes: whether to write the objects' boxes in the first frame.
         recorded: (frames, C) which frames the cameras recorded; None: all. If given, timestamps are written.
         time_offsets: (C,) delay of each camera's exposure, seconds; None: all synchronized.
+        drifts: (C,) increase of each delay, seconds per second, with `time_offsets`.
         with_timestamps: whether the timestamps include the delay.
         repeats: number of times the scene's frames are repeated.
         quality: x264's "crf": smaller is better.
@@ -46,6 +47,7 @@ class Recording:
     boxes: bool = True
     recorded: BoolArray | None = None
     time_offsets: tuple[float, ...] | None = None
+    drifts: tuple[float, ...] = ()
     with_timestamps: bool = False
     repeats: int = 1
     quality: int = 14
@@ -149,7 +151,8 @@ def _render_with_offsets(recording: Recording) -> Iterator[tuple[Image, ...]]:
         return
     per_camera = []
     for k, (name, skew) in enumerate(zip(scene.rig.names, recording.time_offsets, strict=True)):
-        actors = tuple(Actor(actor.body, _delay_path(actor.path, skew * FRAME_RATE)) for actor in scene.actors)
+        drift = recording.drifts[k] if recording.drifts else 0.0
+        actors = tuple(Actor(actor.body, _delay_path(actor.path, skew * FRAME_RATE, drift)) for actor in scene.actors)
         # A different seed for each camera: the background depends on the seed and the index, which is 0 for all.
         per_camera.append(
             render_frames(replace(scene, rig=scene.rig.subset([name]), actors=actors, seed=100 * scene.seed + k))
@@ -158,6 +161,6 @@ def _render_with_offsets(recording: Recording) -> Iterator[tuple[Image, ...]]:
         yield tuple(image for (image,) in images)
 
 
-def _delay_path(path: Motion, frames: float) -> Motion:
-    """Return the path as observed with a delay of this many frames."""
-    return lambda frame: path(frame + frames)
+def _delay_path(path: Motion, frames: float, drift: float) -> Motion:
+    """Return the path as observed with a delay of this many frames, and so many more per frame."""
+    return lambda frame: path((1.0 + drift) * frame + frames)

@@ -70,7 +70,9 @@ def person_beside(rng: np.random.Generator) -> Take:
     return add_actors(take, person)
 
 
-def draw_held(rng: np.random.Generator, *, boxes: bool | None = None, arms: int = 2, begin: float = 0.0) -> Take:
+def draw_held(
+    rng: np.random.Generator, *, boxes: bool | None = None, arms: int = 2, begin: float = 0.0, frames: int = 40
+) -> Take:
     """Draw an object that a person holds with one hand or both, and waves with the arms until then."""
     rig = draw_trust_rig(rng, share=float(rng.uniform(0.35, 0.5)))
     body = (make_board, draw_block)[int(rng.integers(2))]
@@ -80,7 +82,7 @@ def draw_held(rng: np.random.Generator, *, boxes: bool | None = None, arms: int 
         rig=rig,
         speed=(1.0, 1.0),
         travel=float(rng.uniform(0.2, 0.5)),
-        frames=40,
+        frames=frames,
         boxes=boxes,
         body=body,
         pace=lambda t: swing * np.sin(2 * np.pi * max(t - begin, 0.0) / period),
@@ -117,6 +119,11 @@ def one_handed(rng: np.random.Generator) -> Take:
 def waves_then_lifts(rng: np.random.Generator) -> Take:
     """A person waves with both arms before taking the object."""
     return draw_held(rng, begin=float(rng.integers(16, 24)))
+
+
+def waves_long(rng: np.random.Generator) -> Take:
+    """A person waves for ten seconds, at ten frames per second, before lifting the object."""
+    return replace(draw_held(rng, begin=100.0, frames=130), rate=10.0)
 
 
 def arm_across(rng: np.random.Generator) -> Take:
@@ -408,6 +415,7 @@ PEOPLE = index_by_name(
         person_holding,
         one_handed,
         waves_then_lifts,
+        waves_long,
         arm_across,
         passer_by,
         person_walks_behind,

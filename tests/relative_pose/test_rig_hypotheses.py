@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MAX_POOLED_F_RATIO
+from sylpose.relative_pose.camera_evidence import MAX_POOLED_F_RATIO
 from sylpose.relative_pose.rig_hypotheses import (
     MAX_AGREEING,
     MAX_NAMED,
@@ -202,13 +202,24 @@ def test_no_motion_and_no_matches_are_no_agreement() -> None:
     assert np.isnan(compute_f_ratios(rig, alone, Hypothesis())).all()
 
 
+def test_a_mistake_explains_every_pair_of_frames() -> None:
+    """Outliers may contradict a pair of frames in any case, but no pair contradicts the right explanation alone."""
+    hypothesis, nan = Hypothesis(Mistake.EXCHANGED, (1, 0)), np.nan
+    found = summarize(hypothesis, np.array([25.0, 1.6, 0.5, nan]), np.array([6.8, 26.5, 10.8, 4.0]))
+    assert (found.f_ratio, found.given_ratio, found.worst_ratio, found.n_pairs) == (1.6, 10.8, 25.0, 3)
+    assert not found.is_agreement
+    found = summarize(hypothesis, np.array([25.0, 1.6, 0.5]), np.array([25.5, 26.5, 10.8]))
+    assert found.worst_ratio == 0.0
+    assert found.is_agreement
+
+
 def test_selection_needs_pairs_and_a_clear_reduction() -> None:
     mirrored, left_out = Hypothesis(Mistake.MIRRORED), Hypothesis(Mistake.INCONSISTENT, (0,))
     assert select_explanations([HypothesisFit(mirrored, 0.5, 100.0, MIN_PAIRS - 1)]) == []
     assert select_explanations([HypothesisFit(mirrored, 0.5, MAX_POOLED_F_RATIO, 5)]) == []
     assert select_explanations([HypothesisFit(mirrored, 0.5, 1.01 * MAX_POOLED_F_RATIO, 5)])
     assert select_explanations([HypothesisFit(mirrored, 1.01 * MAX_AGREEING, 100.0, 5)]) == []
-    assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, 5, 1.01 * MAX_F_RATIO)]) == []
+    assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, 5, 1.01 * MAX_POOLED_F_RATIO)]) == []
     assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, MIN_PAIRS)]) == []
     assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, MIN_PAIRS + 1)])
     assert select_explanations([]) == []

@@ -289,7 +289,7 @@ def test_failed_write_keeps_the_file(session: Path, tmp_path: Path, monkeypatch:
     offsets = tmp_path / "offsets.toml"
     offsets.write_bytes(b"cam_0 = 0.1\n")
     none = np.empty(0)
-    nothing = TimeOffsets((), 30.0, none, none, (), OffsetEstimate(none, none, none > 0), none, none, 0, ())
+    nothing = TimeOffsets((), 30.0, none, none, (), OffsetEstimate(none, none, none > 0), none, none, 0, none, ())
     with pytest.raises(OSError, match=r"cannot write .*offsets\.toml: no space left"):
         write_offsets(nothing, offsets)
     assert offsets.read_bytes() == b"cam_0 = 0.1\n"

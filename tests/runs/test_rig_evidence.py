@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.kinds_scenes import rotate_view
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.io.capture import open_session
@@ -27,6 +28,7 @@ from sylpose.runs.rig_evidence import (
     find_frozen,
     find_suspect,
 )
+from sylpose.tracking.joint_side.joint_state import Nudge
 from tests.clips import Clip, frame_sets, make_rotated_pose, moving_scene
 
 FRAMES = 32
@@ -93,6 +95,8 @@ def test_the_suspect_reduces_the_f_ratio_most() -> None:
     # Any two of three cameras nearly agree: the healthy one of these two must not be named.
     assert find_suspect([other, leave_out(0, 8.0), leave_out(1, 2.5), leave_out(2, 2.9)]) is None
     assert find_suspect([leave_out(0, 0.0), leave_out(1, 0.2), leave_out(2, 0.0)]) is None
+    few = [replace(fit, n_pairs=2) for fit in (leave_out(0, 8.0), leave_out(1, 0.5), leave_out(2, 7.6))]
+    assert find_suspect(few) is None
     assert find_suspect([other, leave_out(0, 8.0), leave_out(1, 3.1)]) is None
     assert find_suspect([other]) is None
 
@@ -116,6 +120,20 @@ def test_frozen_and_motionless_cameras_are_named() -> None:
     still = examine([[frame[0], frame[1], own] for frame, own in zip(images, noisy, strict=True)])
     assert still.still == (2,)
     assert (still.frozen, still.is_contradicted) == ({}, False)
+
+
+def test_a_camera_that_was_moved_is_named() -> None:
+    """And compared by images that are rotated back: nothing is contradicted."""
+    clip, degrees, moved = swinging_clip(), 2.0, 14
+    turn = np.radians(degrees) * np.array([0.6, 0.8, 0.0])
+    images = [
+        [frame[0], rotate_view(frame[1], clip.rig.cameras[1], turn) if k >= moved else frame[1], frame[2]]
+        for k, frame in enumerate(clip.images)
+    ]
+    found = examine(images)
+    assert [(nudge.camera, nudge.frame) for nudge in found.nudges] == [(1, moved)]
+    assert np.degrees(found.nudges[0].angle) == pytest.approx(degrees, abs=0.1)
+    assert (found.is_contradicted, found.explanations) == (False, ())
 
 
 def test_missing_images_are_frozen_only_while_others_have_some() -> None:
@@ -168,6 +186,9 @@ def test_several_findings_are_described(recording: Path) -> None:
     assert "agree in 2 cases" in found[2]
     assert "(2) all images are turned" in found[2]
     assert describe_findings(session, RigFindings((0, 9))) == []
+    nudge = Nudge(0, 5, np.array([0.0, 0.0, np.radians(1.5)]), 1e-4)
+    (moved,) = describe_findings(session, RigFindings((0, 9), nudges=(nudge,)))
+    assert moved.startswith("cam_0 was moved before frame 5: its background turned by 1.5 degrees.")
     (unexplained,) = describe_findings(session, RigFindings((0, 9), True))
     assert "no usual mistake explains it. Check that the calibration belongs to these images" in unexplained
     (suspected,) = describe_findings(session, RigFindings((0, 9), True, suspect=1))

@@ -193,10 +193,16 @@ def screw_motion(frame: float) -> RigidTransform:
     return RigidTransform.from_components([0.002 * frame - 0.05, 0, 0], Rotation.from_rotvec([0.03 * frame, 0, 0]))
 
 
-def record_videos(folder: Path, path: Callable[[float], RigidTransform], late: FloatArray, frames: int) -> Path:
+def record_videos(
+    folder: Path,
+    path: Callable[[float], RigidTransform],
+    late: FloatArray,
+    frames: int,
+    drifts: tuple[float, ...] = (),
+) -> Path:
     rig = arc(len(late), 40, 1.5, 350, (320, 240), height=0.4)
     scene = Scene(rig, (Actor(chamfered_box([0.3, 0.22, 0.26], 300), path),), frames, 5)
-    write_recording(Recording(scene, time_offsets=tuple(late / RATE)), folder)
+    write_recording(Recording(scene, time_offsets=tuple(late / RATE), drifts=drifts), folder)
     return folder
 
 
@@ -327,6 +333,45 @@ def test_uniform_motion_is_inconclusive(
     assert np.isinf(found.sd).all()
     assert not (tmp_path / "screw" / "offsets.toml").exists()
     assert "the object's speed must change" in capsys.readouterr().out
+
+
+def test_clocks_that_drift_apart_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames, drift = 96, 0.01
+    record_videos(tmp_path / "drift", uneven_motion, np.zeros(3), frames, (0.0, drift, 0.0))
+    found = run_command(monkeypatch, tmp_path / "drift", code=0)
+    true = drift * (frames - 1) / RATE * np.array([-1.0, 2.0, -1.0]) / 3.0
+    assert found.drifts == pytest.approx(true, rel=0.25)
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"cam_1 by {1e3 * found.drifts[1]:+.1f} ms" in out
+    assert "timestamps.csv" in out
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.003])
+def test_drifts_are_significant(monkeypatch: pytest.MonkeyPatch, drift: float) -> None:
+    """Scatter of the parts' offsets beyond their standard deviations is no drift."""
+    rng, sd, n_drifts = np.random.default_rng(0), 0.002, 0
+    rig = arc(3, 40, 1.5, 350, (320, 240))
+
+    def smoothed(part: Sequence[Track], *_: object, **__: object) -> SmoothedTrajectory:
+        middle = np.mean([track.pose.time for track in part])
+        values = drift * middle * np.array([1.0, -1.0, 0.0]) + 3.0 * sd * rng.standard_normal(3)
+        values -= values.mean()
+        return SmoothedTrajectory((), Status.OK, values, np.full(3, sd), np.ones(3), 3)
+
+    monkeypatch.setattr(estimation, "smooth_tracks", smoothed)
+    nothing = np.zeros((6, 6)), np.zeros(3, np.int64), np.zeros(3)
+    tracks = [
+        Track(FramePose(k, float(k), FrameStatus.TRACKED, None, *nothing), (), np.zeros(3), 0.1) for k in range(96)
+    ]
+    for _ in range(50):
+        scatter, drifts = estimation._compare_parts(tracks, rig, 1.0)
+        assert scatter > 1.0
+        n_drifts += bool(drifts.any())
+        if drifts.any():
+            assert drifts == pytest.approx(95 * drift * np.array([1.0, -1.0, 0.0]), abs=0.06)
+    assert n_drifts == 0 if not drift else n_drifts > 45
 
 
 def by_camera(offsets: FloatArray) -> dict[str, float]:

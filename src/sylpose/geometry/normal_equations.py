@@ -158,7 +158,7 @@ def are_all_observable(information: FloatArray, limits: FloatArray, min_ratio: f
         for j in range(n):
             scaled[i, j] = information[i, j] * limits[i] * limits[j]
     symmetric_eigen(scaled, values, np.empty((n, n)))
-    return values[0] >= max(1.0, min_ratio * values[-1])
+    return bool(values[0] >= max(1.0, min_ratio * values[-1]))
 
 
 def is_length_observable(translations: FloatArray, covariance: FloatArray) -> BoolArray:

@@ -113,7 +113,7 @@ class HypothesisFit:
         hypothesis: the hypothesis.
         f_ratio: median of the F ratios of all pairs of frames with evidence; infinite without any.
         given_ratio: the same of these pairs without the hypothesis; of two in the middle, the smaller one.
-        worst_ratio: largest of the F ratios; infinite without any.
+        worst_ratio: largest F ratio of a pair that agrees better without the hypothesis; infinite without any pair.
         n_pairs: number of these pairs.
     """
 
@@ -130,7 +130,7 @@ class HypothesisFit:
         # Two pairs have no majority: a larger ratio makes up for that.
         min_given = MAX_POOLED_F_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
         is_contradiction = self.n_pairs >= min_pairs and self.given_ratio > min_given
-        return is_contradiction and self.f_ratio <= MAX_AGREEING and self.worst_ratio <= MAX_F_RATIO
+        return is_contradiction and self.f_ratio <= MAX_AGREEING and self.worst_ratio <= MAX_POOLED_F_RATIO
 
 
 # Axes of pixels other than to the right and down, and what they look like.
@@ -188,8 +188,10 @@ def summarize(hypothesis: Hypothesis, ratios: FloatArray, given: FloatArray) -> 
     known = ~np.isnan(ratios) & ~np.isnan(given)
     if not known.any():
         return HypothesisFit(hypothesis, np.inf, np.inf, 0, np.inf)
-    f_ratio, given_ratio = float(np.median(ratios[known])), float(np.quantile(given[known], 0.5, method="lower"))
-    return HypothesisFit(hypothesis, f_ratio, given_ratio, int(np.count_nonzero(known)), float(ratios[known].max()))
+    ratios, given = ratios[known], given[known]
+    f_ratio, given_ratio = float(np.median(ratios)), float(np.quantile(given, 0.5, method="lower"))
+    worst_ratio = float(ratios.max(initial=0.0, where=ratios > given))
+    return HypothesisFit(hypothesis, f_ratio, given_ratio, len(ratios), worst_ratio)
 
 
 def select_explanations(fits: Sequence[HypothesisFit]) -> list[HypothesisFit]:

@@ -14,6 +14,7 @@ from heapq import nlargest
 from itertools import pairwise
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from sylpose.frames import FrameSet
@@ -23,6 +24,7 @@ from sylpose.io.capture.session import use_frames_as_coded
 from sylpose.relative_pose.camera_evidence import (
     MAX_POOLED_F_RATIO,
     MIN_MATCHES,
+    MIN_POOLED,
     MIN_REDUCTION,
     explains_as_well,
     pool_f_ratios,
@@ -41,10 +43,19 @@ from sylpose.relative_pose.rig_hypotheses import (
 from sylpose.rig import Camera, Rig, intersect_rays
 from sylpose.runs.candidates import ReadFrames, list_frames, read_windows
 from sylpose.runs.options import RunOptions
-from sylpose.tracking.bodies import GAPS, N_WINDOWS, find_rigid_motion, open_search, reduce_frame_set
+from sylpose.tracking.bodies import (
+    GAPS,
+    N_WINDOWS,
+    SearchContext,
+    find_rigid_motion,
+    open_search,
+    reduce_frame_set,
+)
 from sylpose.tracking.camera_side.frame import CameraFrame, match_frames
 from sylpose.tracking.context import Frame
+from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 from sylpose.tracking.options import TrackingOptions
+from sylpose.tracking.state_machine import compensate_camera_motion
 from sylpose.units import METERS
 
 # Median displacement of what moves between the frames of a pair, as a share of the image's diagonal (choice: 24 pixels of
@@ -76,6 +87,7 @@ class MotionEvidence:
         sees_motion: (C,) cameras that see a rigid motion between any two frames that were tried.
         numbers: (F,) of all frames that were read.
         has_image: (F, C) whether each camera has an image; repeated and black pictures have been removed.
+        nudges: rotations of cameras. From then on, the matches are those of images that were rotated back.
     """
 
     frames: tuple[tuple[int, int], ...]
@@ -84,6 +96,7 @@ class MotionEvidence:
     sees_motion: BoolArray
     numbers: IntArray
     has_image: BoolArray
+    nudges: tuple[Nudge, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +111,7 @@ class RigFindings:
         frozen: by camera index, the first and the last frame without a new image while others have one.
         still: indices of cameras in which nothing moves where the others see the object, or in which too little moves while
             the only other one sees motion.
+        nudges: rotations of cameras.
     """
 
     frames: tuple[int, int] | None
@@ -106,6 +120,7 @@ class RigFindings:
     suspect: int | None = None
     frozen: Mapping[int, tuple[int, int]] = field(default_factory=dict)
     still: tuple[int, ...] = ()
+    nudges: tuple[Nudge, ...] = ()
 
     @property
     def is_contradicted(self) -> bool:
@@ -131,12 +146,13 @@ def examine_rig(rig: Rig, numbers: range, read: ReadFrames, f_ratio: float = np.
     evidence = collect_motion(rig, read_windows(numbers, read))
     frozen = find_frozen(evidence)
     still = tuple(c for c in find_still(rig, evidence) if c not in frozen)
+    findings = RigFindings(None, frozen=frozen, still=still, nudges=evidence.nudges)
     if not evidence.pairs:
-        return RigFindings(None, frozen=frozen, still=still)
+        return findings
     span = evidence.frames[0][0], max(last for _, last in evidence.frames)
     given = compute_f_ratios(rig, evidence.pairs, Hypothesis())
     if not np.fmax(pool_f_ratios(given), f_ratio) > MAX_POOLED_F_RATIO:
-        return RigFindings(span, frozen=frozen, still=still)
+        return replace(findings, frames=span)
     fits = [
         summarize(hypothesis, compute_f_ratios(rig, evidence.pairs, hypothesis), given)
         for hypothesis in list_hypotheses(rig)
@@ -152,7 +168,8 @@ def examine_rig(rig: Rig, numbers: range, read: ReadFrames, f_ratio: float = np.
     if np.isnan(f_ratio):
         f_ratio = float(pool_f_ratios(given))
     suspect = None if explanations else find_suspect(fits)
-    return RigFindings(span, f_ratio > MAX_POOLED_F_RATIO, tuple(explanations), suspect, frozen, still)
+    is_exceeded = f_ratio > MAX_POOLED_F_RATIO
+    return replace(findings, frames=span, exceeds_limit=is_exceeded, explanations=tuple(explanations), suspect=suspect)
 
 
 def resolve_orientation(session: Session) -> Session:
@@ -192,7 +209,9 @@ def find_suspect(fits: Sequence[HypothesisFit]) -> int | None:
     """Find the camera without which the F ratio is least, of the fits of all hypotheses, if no other one comes near."""
     left_out = [fit for fit in fits if fit.hypothesis.mistake is Mistake.INCONSISTENT]
     best, *others = sorted(left_out, key=lambda fit: fit.f_ratio) or (None,)
-    if best is None or not best.given_ratio > max(MIN_REDUCTION * best.f_ratio, MAX_POOLED_F_RATIO):
+    if best is None or best.n_pairs < MIN_POOLED:
+        return None
+    if not best.given_ratio > max(MIN_REDUCTION * best.f_ratio, MAX_POOLED_F_RATIO):
         return None
     is_clear = not others or not explains_as_well(others[0].f_ratio, best.f_ratio)
     return best.hypothesis.cameras[0] if is_clear else None
@@ -253,10 +272,14 @@ def collect_motion(rig: Rig, windows: Iterable[Sequence[FrameSet]]) -> MotionEvi
     A pair is the first frame of a window and one in which what moves has moved by `MIN_MOTION`, or else the best of `GAPS`.
     """
     chosen, sees_motion, gap = list[_TriedPair](), np.zeros(len(rig), bool), 0
-    shown = dict[int, list[bool]]()
+    shown, known, state = dict[int, list[bool]](), dict[int, FrameSet](), JointState()
     with open_search(rig) as context:
-        for frames in filter(len, windows):
-            shown |= {images.index: [image is not None for image in images.images] for images in frames}
+        for window in filter(len, windows):
+            known = {images.index: known[images.index] for images in window if images.index in known}
+            for images in (own for own in window if own.index not in known):
+                shown[images.index] = [image is not None for image in images.images]
+                state, known[images.index] = _stabilize(context, state, images)
+            frames = [known[images.index] for images in window]
             first, tried = context.detect_frame(frames[0].index, frames[0]), list[_TriedPair]()
             # What moves slowly does not become fast at once.
             for last in (frames[g] for g in GAPS if gap <= 2 * g < 2 * len(frames)):
@@ -278,7 +301,18 @@ def collect_motion(rig: Rig, windows: Iterable[Sequence[FrameSet]]) -> MotionEvi
         sees_motion,
         np.array([*shown]),
         np.array([*shown.values()]).reshape(-1, len(rig)),
+        state.nudges,
     )
+
+
+def _stabilize(context: SearchContext, state: JointState, images: FrameSet) -> tuple[JointState, FrameSet]:
+    """Detect rotations of cameras in the next frame set, which is downscaled, and rotate the images of such cameras back."""
+    both = zip(context.rig, images.images, strict=True)
+    enlarged = [
+        image if image is None else np.asarray(cv2.resize(image, camera.size), np.uint8) for camera, image in both
+    ]
+    state, stable = compensate_camera_motion(context, state, replace(images, images=tuple(enlarged)))
+    return state, reduce_frame_set(stable) if state.nudges else images
 
 
 class _TriedPair(NamedTuple):
@@ -333,7 +367,10 @@ def _match_shifted(
     wanted = {k + lag for pair in frames for k in pair for lag in lags}
     available = sorted(k for k in wanted if numbers.start <= k < numbers.stop)
     with open_search(rig) as context, closing(read(available)) as reader:
-        detected = {images.index: context.detect_frame(images.index, reduce_frame_set(images)) for images in reader}
+        detected, state = dict[int, Frame](), JointState()
+        for images in reader:
+            state, stable = _stabilize(context, state, reduce_frame_set(images))
+            detected[images.index] = context.detect_frame(images.index, stable)
     nothing = [(np.empty((0, 2)), np.empty((0, 2)))] * len(rig)
     return {
         lag: [
@@ -366,6 +403,12 @@ def describe_findings(session: Session, findings: RigFindings) -> list[str]:
     found += [
         f"{names[c]}: {seen}. Its video may be frozen or show a picture, or the object is hidden from it."
         for c in findings.still
+    ]
+    found += [
+        f"{names[nudge.camera]} was moved before frame {nudge.frame}: its background turned by "
+        f"{np.degrees(nudge.angle):.2g} degrees. `sylpose track` rotates its images back from then on; calibrate it again "
+        "for later recordings."
+        for nudge in findings.nudges
     ]
     if findings.frames is None or not (findings.is_contradicted or findings.explanations):
         return found

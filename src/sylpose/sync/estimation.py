@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from sylpose.atomic_io import format_toml_key, replace_atomically
 from sylpose.frames import FrameSet
@@ -20,6 +21,7 @@ from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import Status
 from sylpose.sync.offsets import apply_offsets
 from sylpose.sync.speed_correlation import (
+    MAX_CHANCE_PROBABILITY,
     OffsetEstimate,
     SpeedSignal,
     compute_image_speed,
@@ -77,6 +79,8 @@ class TimeOffsets:
         before, after: (C,) rms residual of the tracked object in pixels, with whole-frame offsets and with the final
             ones; NaN if it was not seen.
         tracked: number of tracked frames.
+        drifts: (C,) change of each offset from the first tracked frame to the last, seconds, if the clocks drift apart by
+            more than chance; else zeros.
         problems: messages about unreadable frames and failures.
     """
 
@@ -89,6 +93,7 @@ class TimeOffsets:
     before: FloatArray
     after: FloatArray
     tracked: int
+    drifts: FloatArray
     problems: tuple[str, ...]
 
 
@@ -140,6 +145,14 @@ def sync_session(
         fine[:] = False
     if not refined.is_tracked:
         problems.append("The object could not be tracked, so its poses give no offsets.")
+    if refined.drifts.any():
+        changes = ", ".join(
+            f"{name} by {1e3 * s:+.1f} ms" for name, s in zip(session.rig.names, refined.drifts, strict=True)
+        )
+        problems.append(
+            f"The clocks drift apart, in the {refined.n_tracked} tracked frames {changes}, or frames were lost. Provide the "
+            "time of each frame (timestamps.csv), or synchronize and track shorter parts (--start, --stop)."
+        )
     if fine.any() and not refined.converged:
         problems.append(f"The offsets still change after {MAX_ROUNDS} rounds.")
     offsets = np.where(fine, refined.offsets, whole_frames)
@@ -148,14 +161,17 @@ def sync_session(
     levels = np.array([OffsetPrecision.UNOBSERVABLE, OffsetPrecision.COARSE, OffsetPrecision.FINE])
     precision = tuple(levels[np.where(fine, 2, coarse.is_determined.astype(int))])
     estimate = session.rig.names, rate, offsets - offsets.mean(), np.where(fine, refined.sd, coarse_sd), precision
-    return TimeOffsets(*estimate, coarse, refined.before, refined.after, refined.n_tracked, tuple(problems))
+    return TimeOffsets(
+        *estimate, coarse, refined.before, refined.after, refined.n_tracked, refined.drifts, tuple(problems)
+    )
 
 
 class _Refined(NamedTuple):
-    """Offsets (C,) refined with the object's poses, their standard deviations, and residuals before and after."""
+    """Offsets (C,) refined with the object's poses, their standard deviations and drifts, residuals before and after."""
 
     offsets: FloatArray
     sd: FloatArray
+    drifts: FloatArray
     before: FloatArray
     after: FloatArray
     n_tracked: int
@@ -196,30 +212,43 @@ def _refine_offsets(
         converged = bool((np.abs(refined.offsets) < np.maximum(CONVERGENCE_SECONDS, sd)).all())
         if converged:
             break
-    scatter = _scatter_ratio(tracks, single_object.rig, PRIOR_SD_FRAMES / rate)
+    scatter, drifts = _compare_parts(tracks, single_object.rig, rate)
     sd = np.hypot(sd * scatter, ERROR_ALONG_MOTION_PX / _image_speeds(tracks, single_object.rig))
     n_tracked = sum(t.pose.is_observed for t in tracks)
-    return _Refined(offsets, sd, before, after, n_tracked, is_tracked, converged)
+    return _Refined(offsets, sd, drifts, before, after, n_tracked, is_tracked, converged)
 
 
-def _scatter_ratio(tracks: Sequence[Track], rig: Rig, prior_sd: float) -> float:
-    """Return the ratio, at least 1, of the scatter of offsets from parts of the recording to their standard deviations.
+def _compare_parts(tracks: Sequence[Track], rig: Rig, rate: float) -> tuple[float, FloatArray]:
+    """Compare the offsets from separate parts of the recording.
 
-    Unobservable offsets are determined by errors that resemble motion and differ between the parts.
+    Unobservable offsets are determined by errors that resemble motion and differ between the parts. Those of clocks that
+    drift apart change steadily: along a line, the slope of which is significant (F test, once in a thousand times).
+
+    Returns:
+        the ratio, at least 1, of their scatter to their standard deviations; (C,) the drifts as of `TimeOffsets`.
     """
-    n = min(len(tracks) // MIN_PART_FRAMES, MAX_PARTS)
-    if n < 2:
-        return 1.0
+    n, no_drifts = min(len(tracks) // MIN_PART_FRAMES, MAX_PARTS), np.zeros(len(rig))
     edges = np.linspace(0, len(tracks), n + 1).astype(int)
-    parts = [smooth_tracks(tracks[i:j], rig, offsets_sd=prior_sd) for i, j in pairwise(edges)]
-    parts = [part for part in parts if part.status is Status.OK]
+    chosen = [tracks[i:j] for i, j in pairwise(edges)] if n > 1 else []
+    parts = [(part, smooth_tracks(part, rig, offsets_sd=PRIOR_SD_FRAMES / rate)) for part in chosen]
+    parts = [(part, found) for part, found in parts if found.status is Status.OK]
     if len(parts) < 2:
-        return 1.0
-    values, sds = np.array([p.offsets for p in parts]), np.array([p.offsets_sd for p in parts])
-    mean = (values / sds**2).sum(axis=0) / (1.0 / sds**2).sum(axis=0)
+        return 1.0, no_drifts
+    values, sds = np.array([p.offsets for _, p in parts]), np.array([p.offsets_sd for _, p in parts])
+    times = np.array([[np.mean([track.pose.time for track in part])] for part, _ in parts])
+    weights = 1.0 / sds**2
+    residuals, since = (x - (weights * x).sum(axis=0) / weights.sum(axis=0) for x in (values, times))
     # The offsets have mean 0, which removes one degree of freedom.
-    degrees_of_freedom = (len(parts) - 1) * (len(rig) - 1)
-    return float(np.sqrt(max((((values - mean) / sds) ** 2).sum() / degrees_of_freedom, 1.0)))
+    n_free, n_parts = len(rig) - 1, len(parts)
+    square = (weights * residuals**2).sum()
+    slopes = (weights * since * residuals).sum(axis=0) / (weights * since**2).sum(axis=0)
+    explained = (weights * since**2).sum(axis=0) @ slopes**2
+    drifts = (slopes - slopes.mean()) * (tracks[-1].pose.time - tracks[0].pose.time)
+    noise = max((square - explained) / max((n_parts - 2) * n_free, 1), 1.0)
+    limit = fisher.isf(MAX_CHANCE_PROBABILITY, n_free, (n_parts - 2) * n_free) if n_parts > 2 else np.inf
+    is_drift = explained / n_free > noise * limit and np.abs(drifts).max() * rate > MAX_SD_FRAMES
+    scatter = float(np.sqrt(max(square / ((n_parts - 1) * n_free), 1.0)))
+    return scatter, drifts if is_drift else no_drifts
 
 
 def _image_speeds(tracks: Sequence[Track], rig: Rig) -> FloatArray:
