@@ -32,6 +32,7 @@ from sylpose.relative_pose.camera_evidence import (
     MIN_BASELINE,
     MIN_MATCHES,
     MIN_POOLED,
+    MIN_REDUCTION,
     compute_f_ratio,
     explains_as_well,
     measure_excess,
@@ -113,7 +114,7 @@ class HypothesisFit:
         hypothesis: the hypothesis.
         f_ratio: median of the F ratios of all pairs of frames with evidence; infinite without any.
         given_ratio: the same of these pairs without the hypothesis; of two in the middle, the smaller one.
-        worst_ratio: largest F ratio of a pair that agrees better without the hypothesis; infinite without any pair.
+        worst_ratio: largest F ratio of a pair that agrees clearly better without the hypothesis; infinite without any pair.
         n_pairs: number of these pairs.
     """
 
@@ -190,7 +191,7 @@ def summarize(hypothesis: Hypothesis, ratios: FloatArray, given: FloatArray) -> 
         return HypothesisFit(hypothesis, np.inf, np.inf, 0, np.inf)
     ratios, given = ratios[known], given[known]
     f_ratio, given_ratio = float(np.median(ratios)), float(np.quantile(given, 0.5, method="lower"))
-    worst_ratio = float(ratios.max(initial=0.0, where=ratios > given))
+    worst_ratio = float(ratios.max(initial=0.0, where=ratios > MIN_REDUCTION * given))
     return HypothesisFit(hypothesis, f_ratio, given_ratio, len(ratios), worst_ratio)
 
 
