@@ -185,6 +185,7 @@ def main() -> None:
     arguments = parser.parse_args()
     first, end = map(int, arguments.seeds.split(":"))
     warn_without_photographs()
+    cv2.setNumThreads(1)  # the processes are forked after the first takes were drawn, and must not miss any threads
     print(f"{'kind':24}{'cameras':>8}" + "".join(f"{name:>8}" for name in OUTCOMES), flush=True)
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for kind in arguments.kinds or [name for group in GROUPS.values() for name in group]:

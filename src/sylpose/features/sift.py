@@ -131,6 +131,11 @@ def reduce_image(image: Image, max_pixels: int) -> Image:
     return np.asarray(_cv2.resize(gray, smaller.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def enlarge_image(image: Image, size: tuple[int, int]) -> Image:
+    """Enlarge an image that `reduce_image` has downscaled to its size (width, height)."""
+    return np.asarray(_cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
 def detect_features(
     image: Image,
     camera: Camera,

@@ -296,12 +296,11 @@ def _measure_excess(
             squares += residuals[i] ** 2
     sigma = max(np.sqrt(squares / (count - N_OWN)), MIN_SIGMA_PX)
     effective = sigma * sigma * compute_design_effect(y, own, residuals)
-    # Outliers that the own motion happens to explain are the worst of the joint one, and it can explain as many as it has
-    # unknowns.
+    # Outliers that the own motion happens to explain are the worst of the joint one.
     joint = np.empty(len(x))
     _compute_residuals(x, y, focal, rotation, translation, joint)
     sizes = np.sort(np.abs(joint[own > 0.0]))
-    limit, own_squares = sizes[min(int(KEPT_SHARE * (count - 1)), count - 1 - N_OWN)], 0.0
+    limit, own_squares = sizes[int(KEPT_SHARE * (count - 1))], 0.0
     for i in range(len(x)):
         own[i] = 1.0 if own[i] > 0.0 and abs(joint[i]) <= limit else 0.0
         own_squares += own[i] * residuals[i] ** 2

@@ -14,9 +14,9 @@ from heapq import nlargest
 from itertools import pairwise
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
+from sylpose.features.sift import enlarge_image
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.io.capture import Session
@@ -308,9 +308,7 @@ def collect_motion(rig: Rig, windows: Iterable[Sequence[FrameSet]]) -> MotionEvi
 def _stabilize(context: SearchContext, state: JointState, images: FrameSet) -> tuple[JointState, FrameSet]:
     """Detect rotations of cameras in the next frame set, which is downscaled, and rotate the images of such cameras back."""
     both = zip(context.rig, images.images, strict=True)
-    enlarged = [
-        image if image is None else np.asarray(cv2.resize(image, camera.size), np.uint8) for camera, image in both
-    ]
+    enlarged = [image if image is None else enlarge_image(image, camera.size) for camera, image in both]
     state, stable = compensate_camera_motion(context, state, replace(images, images=tuple(enlarged)))
     return state, reduce_frame_set(stable) if state.nudges else images
 
