@@ -17,12 +17,13 @@ from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.io.capture import open_session
 from sylpose.io.capture.repetitions import RepetitionFilter
 from sylpose.relative_pose.camera_evidence import MAX_POOLED_F_RATIO
-from sylpose.relative_pose.rig_hypotheses import Hypothesis, HypothesisFit, Mistake
+from sylpose.relative_pose.rig_hypotheses import Hypothesis, HypothesisFit, Mistake, compute_f_ratios
 from sylpose.rig import Rig
 from sylpose.runs.rig_evidence import (
     MIN_FROZEN_FRAMES,
     MotionEvidence,
     RigFindings,
+    collect_motion,
     describe_findings,
     examine_rig,
     find_frozen,
@@ -134,6 +135,15 @@ def test_a_camera_that_was_moved_is_named() -> None:
     assert [(nudge.camera, nudge.frame) for nudge in found.nudges] == [(1, moved)]
     assert np.degrees(found.nudges[0].angle) == pytest.approx(degrees, abs=0.1)
     assert (found.is_contradicted, found.explanations) == (False, ())
+    sets = frame_sets(images)
+    windows = [sets[k : k + 9] for k in (0, 6, 12, 18)]
+    evidence = collect_motion(clip.rig, windows)
+    assert {nudge.frame for nudge in evidence.nudges} == {moved}
+    assert max(compute_f_ratios(clip.rig, evidence.pairs, Hypothesis())) < MAX_POOLED_F_RATIO
+    # The first image after the motion is not used: one does not show whether the camera stands still again.
+    assert all(
+        not len(pair[1][0]) for frames, pair in zip(evidence.frames, evidence.pairs, strict=True) if moved in frames
+    )
 
 
 def test_missing_images_are_frozen_only_while_others_have_some() -> None:
@@ -188,7 +198,9 @@ def test_several_findings_are_described(recording: Path) -> None:
     assert describe_findings(session, RigFindings((0, 9))) == []
     nudge = Nudge(0, 5, np.array([0.0, 0.0, np.radians(1.5)]), 1e-4)
     (moved,) = describe_findings(session, RigFindings((0, 9), nudges=(nudge,)))
-    assert moved.startswith("cam_0 was moved before frame 5: its background turned by 1.5 degrees.")
+    assert moved.startswith(
+        "cam_0 seems to have been moved before frame 5: what it sees turned by 1.5 degrees as a whole."
+    )
     (unexplained,) = describe_findings(session, RigFindings((0, 9), True))
     assert "no usual mistake explains it. Check that the calibration belongs to these images" in unexplained
     (suspected,) = describe_findings(session, RigFindings((0, 9), True, suspect=1))

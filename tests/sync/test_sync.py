@@ -363,7 +363,8 @@ def test_drifts_are_significant(monkeypatch: pytest.MonkeyPatch, drift: float) -
     monkeypatch.setattr(estimation, "smooth_tracks", smoothed)
     nothing = np.zeros((6, 6)), np.zeros(3, np.int64), np.zeros(3)
     tracks = [
-        Track(FramePose(k, float(k), FrameStatus.TRACKED, None, *nothing), (), np.zeros(3), 0.1) for k in range(96)
+        Track(FramePose(k, float(k), FrameStatus.TRACKED, RigidTransform.identity(), *nothing), (), np.zeros(3), 0.1)
+        for k in range(96)
     ]
     for _ in range(50):
         scatter, drifts = estimation._compare_parts(tracks, rig, 1.0)

@@ -132,7 +132,7 @@ def reduce_image(image: Image, max_pixels: int) -> Image:
 
 
 def enlarge_image(image: Image, size: tuple[int, int]) -> Image:
-    """Enlarge an image that `reduce_image` has downscaled to its size (width, height)."""
+    """Enlarge an image that `reduce_image` has downscaled, to a size (width, height)."""
     return np.asarray(_cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 

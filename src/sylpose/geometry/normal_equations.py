@@ -147,7 +147,7 @@ def find_unobservable_directions(
 
 @kernel
 def are_all_observable(information: FloatArray, limits: FloatArray, min_ratio: float) -> bool:
-    """Return whether the standard deviation of no direction exceeds the limits; see `find_unobservable_directions`.
+    """Return whether `find_unobservable_directions` finds none; limits (n,).
 
     A Cholesky factor would be faster, but it also exists where rounding of the largest eigenvalue hides an unobservable
     direction.

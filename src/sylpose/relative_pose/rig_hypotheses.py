@@ -114,7 +114,8 @@ class HypothesisFit:
         hypothesis: the hypothesis.
         f_ratio: median of the F ratios of all pairs of frames with evidence; infinite without any.
         given_ratio: the same of these pairs without the hypothesis; of two in the middle, the smaller one.
-        worst_ratio: largest F ratio of a pair that agrees clearly better without the hypothesis; infinite without any pair.
+        worst_ratio: largest F ratio of the pairs that agree clearly better without the hypothesis; 0 if there are none,
+            infinite without evidence.
         n_pairs: number of these pairs.
     """
 

@@ -87,7 +87,7 @@ class MotionEvidence:
         sees_motion: (C,) cameras that see a rigid motion between any two frames that were tried.
         numbers: (F,) of all frames that were read.
         has_image: (F, C) whether each camera has an image; repeated and black pictures have been removed.
-        nudges: rotations of cameras. From then on, the matches are those of images that were rotated back.
+        nudges: rotations of cameras; their later images are rotated back before matching.
     """
 
     frames: tuple[tuple[int, int], ...]
@@ -159,7 +159,9 @@ def examine_rig(rig: Rig, numbers: range, read: ReadFrames, f_ratio: float = np.
     ]
     explanations = select_explanations(fits)
     # Of two cameras, one that is late may look like other mistakes; of more, only like one that is to be left out.
-    if len(rig) == 2 or not any(fit.hypothesis.mistake is not Mistake.INCONSISTENT for fit in explanations):
+    is_found = len(rig) > 2 and any(fit.hypothesis.mistake is not Mistake.INCONSISTENT for fit in explanations)
+    # Images at other times are not rotated back.
+    if not (is_found or evidence.nudges):
         lags = _evaluate_lags(rig, numbers, read, evidence, given)
         explanations = select_explanations([*fits, *lags])
     if len(explanations) > 1 and all(fit.hypothesis.mistake is Mistake.INCONSISTENT for fit in explanations):
@@ -306,11 +308,19 @@ def collect_motion(rig: Rig, windows: Iterable[Sequence[FrameSet]]) -> MotionEvi
 
 
 def _stabilize(context: SearchContext, state: JointState, images: FrameSet) -> tuple[JointState, FrameSet]:
-    """Detect rotations of cameras in the next frame set, which is downscaled, and rotate the images of such cameras back."""
+    """Detect rotations of cameras in the next frame set, which is downscaled.
+
+    Images of such cameras are rotated back, and removed while the rotation is not confirmed.
+    """
     both = zip(context.rig, images.images, strict=True)
     enlarged = [image if image is None else enlarge_image(image, camera.size) for camera, image in both]
     state, stable = compensate_camera_motion(context, state, replace(images, images=tuple(enlarged)))
-    return state, reduce_frame_set(stable) if state.nudges else images
+    moved = {nudge.camera for nudge in state.nudges}
+    kept = tuple(
+        after if after is None or c in moved else before
+        for c, (before, after) in enumerate(zip(images.images, stable.images, strict=True))
+    )
+    return state, reduce_frame_set(replace(images, images=kept, masks=stable.masks))
 
 
 class _TriedPair(NamedTuple):
@@ -365,10 +375,7 @@ def _match_shifted(
     wanted = {k + lag for pair in frames for k in pair for lag in lags}
     available = sorted(k for k in wanted if numbers.start <= k < numbers.stop)
     with open_search(rig) as context, closing(read(available)) as reader:
-        detected, state = dict[int, Frame](), JointState()
-        for images in reader:
-            state, stable = _stabilize(context, state, reduce_frame_set(images))
-            detected[images.index] = context.detect_frame(images.index, stable)
+        detected = {images.index: context.detect_frame(images.index, reduce_frame_set(images)) for images in reader}
     nothing = [(np.empty((0, 2)), np.empty((0, 2)))] * len(rig)
     return {
         lag: [
@@ -403,9 +410,9 @@ def describe_findings(session: Session, findings: RigFindings) -> list[str]:
         for c in findings.still
     ]
     found += [
-        f"{names[nudge.camera]} was moved before frame {nudge.frame}: its background turned by "
-        f"{np.degrees(nudge.angle):.2g} degrees. `sylpose track` rotates its images back from then on; calibrate it again "
-        "for later recordings."
+        f"{names[nudge.camera]} seems to have been moved before frame {nudge.frame}: what it sees turned by "
+        f"{np.degrees(nudge.angle):.2g} degrees as a whole. `sylpose track` rotates its images back; calibrate it again for "
+        "later recordings."
         for nudge in findings.nudges
     ]
     if findings.frames is None or not (findings.is_contradicted or findings.explanations):

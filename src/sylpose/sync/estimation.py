@@ -150,8 +150,8 @@ def sync_session(
             f"{name} by {1e3 * s:+.1f} ms" for name, s in zip(session.rig.names, refined.drifts, strict=True)
         )
         problems.append(
-            f"The clocks drift apart, in the {refined.n_tracked} tracked frames {changes}, or frames were lost. Provide the "
-            "time of each frame (timestamps.csv), or synchronize and track shorter parts (--start, --stop)."
+            f"The clocks drift apart, or frames were lost: while the object is tracked, the delays change ({changes}). "
+            "Provide the time of each frame (timestamps.csv), or synchronize and track shorter parts (--start, --stop)."
         )
     if fine.any() and not refined.converged:
         problems.append(f"The offsets still change after {MAX_ROUNDS} rounds.")
@@ -225,7 +225,7 @@ def _compare_parts(tracks: Sequence[Track], rig: Rig, rate: float) -> tuple[floa
     drift apart change steadily: along a line, the slope of which is significant (F test, once in a thousand times).
 
     Returns:
-        the ratio, at least 1, of their scatter to their standard deviations; (C,) the drifts as of `TimeOffsets`.
+        the ratio, at least 1, of their scatter to their standard deviations; (C,) the drifts, see `TimeOffsets`.
     """
     n, no_drifts = min(len(tracks) // MIN_PART_FRAMES, MAX_PARTS), np.zeros(len(rig))
     edges = np.linspace(0, len(tracks), n + 1).astype(int)
@@ -235,7 +235,8 @@ def _compare_parts(tracks: Sequence[Track], rig: Rig, rate: float) -> tuple[floa
     if len(parts) < 2:
         return 1.0, no_drifts
     values, sds = np.array([p.offsets for _, p in parts]), np.array([p.offsets_sd for _, p in parts])
-    times = np.array([[np.mean([track.pose.time for track in part])] for part, _ in parts])
+    known = [np.array([track.pose.time for track in part if track.pose.is_observed]) for part, _ in parts]
+    times = np.array([[part.mean()] for part in known])
     weights = 1.0 / sds**2
     residuals, since = (x - (weights * x).sum(axis=0) / weights.sum(axis=0) for x in (values, times))
     # The offsets have mean 0, which removes one degree of freedom.
@@ -243,7 +244,7 @@ def _compare_parts(tracks: Sequence[Track], rig: Rig, rate: float) -> tuple[floa
     square = (weights * residuals**2).sum()
     slopes = (weights * since * residuals).sum(axis=0) / (weights * since**2).sum(axis=0)
     explained = (weights * since**2).sum(axis=0) @ slopes**2
-    drifts = (slopes - slopes.mean()) * (tracks[-1].pose.time - tracks[0].pose.time)
+    drifts = (slopes - slopes.mean()) * (known[-1][-1] - known[0][0])
     noise = max((square - explained) / max((n_parts - 2) * n_free, 1), 1.0)
     limit = fisher.isf(MAX_CHANCE_PROBABILITY, n_free, (n_parts - 2) * n_free) if n_parts > 2 else np.inf
     is_drift = explained / n_free > noise * limit and np.abs(drifts).max() * rate > MAX_SD_FRAMES
