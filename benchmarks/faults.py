@@ -7,9 +7,9 @@ fault, of a given number of cameras. A take is examined as `sylpose check` does 
 
 - *fault*: the fault itself is named, alone or with up to two others that the motion does not distinguish from it,
 - *camera*: not the fault, but the faulty camera is named, as one to be left out or looked at,
-- *said*: it is said that the cameras contradict each other, without a name,
+- *contradiction*: only that the cameras contradict each other,
 - *wrong*: only other faults or healthy cameras are named,
-- *silent*: nothing is said. That is right without a fault, and where the fault does not change what is measured.
+- *nothing*. That is right without a fault, and where the fault does not change what is measured.
 
 Of two cameras either may be at fault. Prints one row per kind and number of cameras, or per take with --each.
 
@@ -59,12 +59,12 @@ NAMES: dict[str, tuple[Mistake, ...]] = {
     "left-handed": (Mistake.FLIPPED,),
     "wrong-unit": (Mistake.UNIT,),
 }
-OUTCOMES = "fault", "camera", "said", "wrong", "silent"
+OUTCOMES = "fault", "camera", "contradiction", "wrong", "nothing"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was said of a take.
+    """What was reported of a take.
 
     Attributes:
         kind: of the take.
@@ -145,8 +145,8 @@ def judge(kind: str, findings: RigFindings, faulty: tuple[int, ...], cameras: in
         ]
     )
     if kind in REGULAR:
-        said = bool(named or blamed or findings.is_contradicted)
-        return ("wrong" if said else "silent"), details
+        is_reported = bool(named or blamed or findings.is_contradicted)
+        return ("wrong" if is_reported else "nothing"), details
     is_one = kind in ONE_CAMERA and cameras > 2
     for h in named:
         affected = {c for c, source in enumerate(h.cameras) if c != source or h.mistake is not Mistake.EXCHANGED}
@@ -167,7 +167,7 @@ def judge(kind: str, findings: RigFindings, faulty: tuple[int, ...], cameras: in
         return "camera", details
     if named or blamed:
         return "wrong", details
-    return ("said" if findings.is_contradicted else "silent"), details
+    return ("contradiction" if findings.is_contradicted else "nothing"), details
 
 
 def list_seeds(kind: str, cameras: int, first: int, end: int) -> list[int]:
@@ -187,14 +187,14 @@ def main() -> None:
     first, end = map(int, arguments.seeds.split(":"))
     warn_without_photographs()
     cv2.setNumThreads(1)  # the processes are forked after the first takes were drawn, and must not miss any threads
-    print(f"{'kind':24}{'cameras':>8}" + "".join(f"{name:>8}" for name in OUTCOMES), flush=True)
+    print(f"{'kind':24}{'cameras':>8}" + "".join(f"{name:>15}" for name in OUTCOMES), flush=True)
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for kind in arguments.kinds or [name for group in GROUPS.values() for name in group]:
             for cameras in arguments.cameras:
                 seeds = list_seeds(kind, cameras, first, end)
                 done = [*pool.map(examine_take, [kind] * len(seeds), [cameras] * len(seeds), seeds)]
                 counts = Counter(own.outcome for own in done)
-                print(f"{kind:24}{cameras:8}" + "".join(f"{counts[name]:8}" for name in OUTCOMES), flush=True)
+                print(f"{kind:24}{cameras:8}" + "".join(f"{counts[name]:15}" for name in OUTCOMES), flush=True)
                 for own in done if arguments.each else ():
                     print(f"    {own.seed} faulty {own.faulty}: {own.outcome}; {own.details}", flush=True)
 
