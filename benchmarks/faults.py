@@ -11,7 +11,7 @@ fault, of a given number of cameras. A take is examined as `sylpose check` does 
 - *wrong*: only other faults or healthy cameras are named,
 - *nothing*. That is right without a fault, and where the fault does not change what is measured.
 
-Of two cameras either may be at fault. Prints one row per kind and number of cameras, or per take with --each.
+Of two cameras either may be at fault. Prints a row for each kind and number of cameras, with --each also for each take.
 
 `--seeds 4:8` draws four takes with this number of cameras from the seeds 4000, 4001, ... The takes 0 to 3 were looked at
 while developing.
@@ -67,16 +67,12 @@ class Outcome:
     """What was reported of a take.
 
     Attributes:
-        kind: of the take.
-        cameras: their number.
         seed: of the take.
         faulty: indices of the faulty cameras.
         outcome: one of `OUTCOMES`.
         details: what was named.
     """
 
-    kind: str
-    cameras: int
     seed: int
     faulty: tuple[int, ...]
     outcome: str
@@ -105,7 +101,7 @@ def find_faulty(take: Take) -> tuple[int, ...]:
     return tuple(c for c in range(len(rig)) if has_effect[c] or given[c] or is_late[c] or c in take.stand_ins)
 
 
-def examine_take(kind: str, cameras: int, seed: int) -> Outcome:
+def examine_take(kind: str, seed: int) -> Outcome:
     """Examine a take as `sylpose check` does it."""
     cv2.setNumThreads(1)
     take = draw(kind, seed)
@@ -124,7 +120,7 @@ def examine_take(kind: str, cameras: int, seed: int) -> Outcome:
         f_ratio = compare_cameras(rig, [*map(reduce_frame_set, sets[:WINDOW_FRAMES])], take.boxes, workers=1)
     findings = examine_rig(rig, numbers, read, f_ratio)
     faulty = find_faulty(take)
-    return Outcome(kind, cameras, seed, faulty, *judge(kind, findings, faulty, len(rig)))
+    return Outcome(seed, faulty, *judge(kind, findings, faulty, len(rig)))
 
 
 def judge(kind: str, findings: RigFindings, faulty: tuple[int, ...], cameras: int) -> tuple[str, str]:
@@ -186,13 +182,13 @@ def main() -> None:
     arguments = parser.parse_args()
     first, end = map(int, arguments.seeds.split(":"))
     warn_without_photographs()
-    cv2.setNumThreads(1)  # the processes are forked after the first takes were drawn, and must not miss any threads
+    cv2.setNumThreads(1)  # processes that are forked lack the threads that drawing takes would start
     print(f"{'kind':24}{'cameras':>8}" + "".join(f"{name:>15}" for name in OUTCOMES), flush=True)
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for kind in arguments.kinds or [name for group in GROUPS.values() for name in group]:
             for cameras in arguments.cameras:
                 seeds = list_seeds(kind, cameras, first, end)
-                done = [*pool.map(examine_take, [kind] * len(seeds), [cameras] * len(seeds), seeds)]
+                done = [*pool.map(examine_take, [kind] * len(seeds), seeds)]
                 counts = Counter(own.outcome for own in done)
                 print(f"{kind:24}{cameras:8}" + "".join(f"{counts[name]:15}" for name in OUTCOMES), flush=True)
                 for own in done if arguments.each else ():

@@ -185,7 +185,7 @@ def _pool_evidence(context: Context, state: JointState, agreements: Agreements) 
     n_before = 0 if state.motion.n_missed else state.n_new_f_ratios
     n_new = min(n_before + (not np.isnan(f_ratio)), len(known))
     new = known[len(known) - n_new :]
-    # Of two cameras none can be left out: three ratios, with the least known landmarks, decide nothing.
+    # Two cameras need more: right after the object was found its landmarks are least known, and no camera can be left out.
     pooled = new if len(context.rig) >= MIN_KEPT_POOLED and pool_known(new) > pool_known(known) else known
     return replace(state, f_ratios=known, n_new_f_ratios=n_new), pool_known(pooled), len(pooled)
 
