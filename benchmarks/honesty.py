@@ -54,7 +54,7 @@ class Outcome(NamedTuple):
         status: status of the result.
         degrees: rotation error; NaN if the status is not OK.
         radii: translation error in object radii; NaN if the status is not OK.
-        square: squared error in units of the covariance (NEES); NaN if the status is not OK.
+        nees: squared error in units of the covariance; NaN if the status is not OK.
         wrong: the result is wrong and sure.
         is_hidden: it would be, but the matches fit about as well as with the right axes of pixels.
     """

@@ -64,6 +64,8 @@ class Kind:
         is_undetectable: the matches contain no evidence of the error; the kind is not counted.
         camera_rotation_deg, camera_translation_m: ranges of one camera's calibration error.
         copies: numbers of copies per match, of all matches or of a random part.
+        copy_px: noise of each copy, in addition to that of the match, pixels.
+        drift_px: range of the rms of an error that varies smoothly over the image, as of features that drift, pixels.
         model_scale: range of the scale error of the known points of pose problems.
         focal_factor: factor of focal lengths and distances.
         axes: pixels are counted along these axes instead of to the right and down.
@@ -85,6 +87,8 @@ class Kind:
     camera_rotation_deg: Span | None = None
     camera_translation_m: Span = (0.0, 0.0)
     copies: tuple[int, ...] = ()
+    copy_px: float = 0.0
+    drift_px: Span | None = None
     model_scale: Span | None = None
     focal_factor: float = 1.0
     axes: tuple[Span, Span] | None = None
@@ -180,6 +184,10 @@ MOTIONS: dict[str, Kind] = {
     "copies": Kind(matches=(10, 60), copies=(2, 5, 20)),
     "copies, wrong 30 to 60 %": Kind(matches=(10, 60), copies=(2, 5, 20), outliers=OUTLIERS_30_60),
     "copies, few": Kind(bodies=(*SOLID, *FLAT), cameras=(2, 3, 4), matches=(4, 12), copies=(2, 5, 20)),
+    "near copies": Kind(copies=(2, 3, 5), copy_px=0.15),
+    "near copies, wrong 30 to 60 %": Kind(copies=(2, 3, 5), copy_px=0.15, outliers=OUTLIERS_30_60),
+    "drift": Kind(drift_px=(0.2, 1.0)),
+    "drift, two cameras": Kind(cameras=TWO_CAMERAS, rig="any", drift_px=(0.2, 1.0)),
     "few": Kind(bodies=(*SOLID, *FLAT), matches=(4, 12)),
     "few, wrong 30 to 60 %": Kind(bodies=(*SOLID, *FLAT), matches=(4, 12), outliers=OUTLIERS_30_60),
     "few, two cameras": Kind(bodies=(*SOLID, *FLAT), cameras=TWO_CAMERAS, rig="any", matches=(4, 12)),
@@ -250,7 +258,12 @@ def make_problem(name: str, seed: int, *, has_right_axes: bool = False) -> Probl
         return _make_pose_problem(kind, rig, true_rig, pair, start, body.radius, rng, faulty_camera)
     selected = [_select_matches(kind, len(m), rng) for m in pair.matches]
     matches = tuple(
-        Matches(*(_count_along(camera, points[k], None if has_right_axes else kind.axes) for points in (m.x, m.y)))
+        Matches(
+            *(
+                _count_along(camera, points, None if has_right_axes else kind.axes)
+                for points in _add_shared_errors(kind, camera, m.x[k], m.y[k], rng)
+            )
+        )
         for camera, m, k in zip(rig, pair.matches, selected, strict=True)
     )
     is_outlier = [w[k] for w, k in zip(pair.is_outlier, selected, strict=True)]
@@ -322,6 +335,20 @@ def _perturb_camera(camera: Camera, rng: np.random.Generator, degrees: float, le
     turn = RigidTransform.from_rotation(Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis)))
     move = RigidTransform.from_translation(length * by / np.linalg.norm(by))
     return replace(camera, camera_from_world=turn * camera.camera_from_world * move)
+
+
+def _add_shared_errors(
+    kind: Kind, camera: Camera, x: FloatArray, y: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return matches (n, 2) with errors that differ from copy to copy, or little from place to place."""
+    if kind.copy_px:
+        x, y = (points + kind.copy_px / camera.focal * rng.standard_normal(points.shape) for points in (x, y))
+    if kind.drift_px is not None and len(x):
+        centered = x - x.mean(axis=0)
+        u = centered / np.abs(centered).max()
+        field = np.column_stack([np.ones(len(u)), u, u**2]) @ rng.standard_normal((5, 2))
+        y = y + rng.uniform(*kind.drift_px) * field / np.sqrt((field**2).sum(axis=1).mean() / 2) / camera.focal
+    return x, y
 
 
 def _select_matches(kind: Kind, count: int, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -297,29 +297,6 @@ def so3_log(rotation: FloatArray, out: FloatArray) -> None:
     length = np.sqrt(length) if sign >= 0.0 else -np.sqrt(length)
     for i in range(3):
         out[i] = angle * axis[i] / length
-
-
-class DistinctRows(NamedTuple):
-    """The distinct ones of n rows.
-
-    Attributes:
-        rows: (k,) index of the first occurrence of each, in order.
-        inverse: (n,) position in `rows` of each row's first occurrence.
-    """
-
-    rows: IntArray
-    inverse: IntArray
-
-
-def find_distinct_rows(a: FloatArray, b: FloatArray) -> DistinctRows | None:
-    """Find the distinct rows of a (n, i) and b (n, j), side by side; None if all are distinct.
-
-    Rows are compared bit by bit, because noise does not make exact copies. Copies are, for example, one keypoint with
-    several orientations, or a file read twice. They are no independent measurements: counting them makes an estimator
-    overconfident, and a match that agrees only with its copies looks like a majority.
-    """
-    count, rows, inverse = index_distinct_rows(a, b)
-    return None if count == len(a) else DistinctRows(rows[:count], inverse)
 
 
 @kernel

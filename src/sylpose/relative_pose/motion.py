@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry import validation
-from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information, make_motion_about, remove_direction
-from sylpose.geometry.numba_linalg import find_distinct_rows, kernel
-from sylpose.geometry.robust_loss import NoisePx, NoiseUnits, make_noise_units
-from sylpose.matches import Matches
+from sylpose.geometry.numba_linalg import kernel, leaf
+from sylpose.geometry.robust_loss import NoisePx, NoiseUnits, chi_squared_bound, make_noise_units
+from sylpose.matches import STATIC_PX, Matches
 from sylpose.methods import MOTION_METHODS
 from sylpose.relative_pose.faulty_cameras import solve_without_faulty_cameras
 from sylpose.relative_pose.observability import classify_observability
@@ -26,6 +26,9 @@ from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, change_
 from sylpose.results import Motion
 from sylpose.rig import Rig, check_single_pose
 from sylpose.status import Status
+
+# The square of what exceeds chance, in variances (chi-squared, once in a thousand times).
+MAX_CHANCE_SQUARE = chi_squared_bound(1)
 
 
 def estimate_motion(
@@ -43,8 +46,8 @@ def estimate_motion(
 
     Args:
         rig: C cameras.
-        matches: C sets of matches, in the rig's order; `Matches.empty()` for a camera without matches. Duplicate
-            matches count once.
+        matches: C sets of matches, in the rig's order; `Matches.empty()` for a camera without matches. Copies count
+            once (`find_first_copies`).
         method: "epipolar" (perspective, six degrees of freedom, robust:
             docs/method/3-pose.md, "Two frames") or one of the
             paper's estimators, applied to the pair moments of its inliers: "sylvester" or "depth-plane" (with a planar
@@ -83,13 +86,53 @@ def estimate_motion(
     if center is not None:
         center = validation.check_finite(center, (3,), "center")
     units = NoiseUnits(np.ones(len(rig)), 0.0) if noise_px is None else make_noise_units(noise_px, rig.names)
-    duplicates = [find_distinct_rows(m.x, m.y) for m in matches]
-    unique = [m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, duplicates, strict=True)]
-    result = _estimate(rig, unique, method, initial, center, radius, units, seed)
-    if all(single is None for single in duplicates):
-        return result
-    masks = zip(result.inliers, duplicates, strict=True)
-    return replace(result, inliers=tuple(mask if s is None else mask[s.inverse] for mask, s in masks))
+    first = [find_first_copies(m.x, m.y, STATIC_PX / camera.focal) for camera, m in zip(rig, matches, strict=True)]
+    rows = [np.flatnonzero(own == np.arange(len(own))) for own in first]
+    if sum(map(len, rows)) == sum(map(len, matches)):
+        return _estimate(rig, matches, method, initial, center, radius, units, seed)
+    distinct = [Matches(m.x[own], m.y[own]) for m, own in zip(matches, rows, strict=True)]
+    result = _estimate(rig, distinct, method, initial, center, radius, units, seed)
+    masks = zip(result.inliers, rows, first, strict=True)
+    return replace(result, inliers=tuple(mask[np.searchsorted(own, index)] for mask, own, index in masks))
+
+
+@kernel
+def find_first_copies(x: FloatArray, y: FloatArray, tolerance: float) -> IntArray:
+    """Return for each match (n,) the index of the first one that it is a copy of, or its own.
+
+    Copies are no independent measurements: one keypoint with several orientations or at several scales, a file that was
+    read twice. They would make an estimator overconfident, and one mismatch a majority. Equal matches are copies; others
+    that are nearer than the tolerance in both images are, if there are more of them than by chance: of independent
+    matches a quarter of the pairs within twice the tolerance.
+    """
+    n, n_near, n_around = len(x), 0, 0
+    order, place, copied = np.argsort(x[:, 0]), np.empty(n, np.int64), np.arange(n)
+    for k in range(n):
+        place[order[k]] = k
+        for m in range(k + 1, n):
+            i, j = order[k], order[m]
+            if x[j, 0] - x[i, 0] > 2.0 * tolerance:
+                break
+            distance = _measure_distance(x, y, i, j)
+            n_near += 0.0 < distance <= tolerance
+            n_around += 0.0 < distance <= 2.0 * tolerance
+    excess = n_near - 0.25 * n_around
+    limit = tolerance if excess > 0.0 and excess * excess > MAX_CHANCE_SQUARE * 0.1875 * n_around else 0.0
+    for i in range(n):
+        for step in (-1, 1):
+            m = place[i] + step
+            while 0 <= m < n and abs(x[order[m], 0] - x[i, 0]) <= limit:
+                j = order[m]
+                if j < copied[i] and copied[j] == j and _measure_distance(x, y, i, j) <= limit:
+                    copied[i] = j
+                m += step
+    return copied
+
+
+@leaf
+def _measure_distance(x: FloatArray, y: FloatArray, i: int, j: int) -> float:
+    """Return the distance of two matches, the larger one of the two images, in either direction."""
+    return float(max(abs(x[i, 0] - x[j, 0]), abs(x[i, 1] - x[j, 1]), abs(y[i, 0] - y[j, 0]), abs(y[i, 1] - y[j, 1])))
 
 
 def _estimate(
