@@ -219,7 +219,7 @@ def test_bodies_that_move_one_after_the_other_are_two() -> None:
     assert larger.later_ratio == pytest.approx(smaller.n_matches / larger.n_matches)
     assert smaller.later_ratio == pytest.approx(larger.n_matches / smaller.n_matches)
     assert smaller.is_ambiguous(TrackingOptions())
-    assert larger.is_ambiguous(TrackingOptions()) == (larger.later_ratio > TrackingOptions.max_later_ratio)
+    assert larger.is_ambiguous(TrackingOptions()) == (larger.later_ratio > TrackingOptions.max_rival_ratio)
     assert not replace(smaller, is_chosen=True).is_ambiguous(TrackingOptions())
 
 

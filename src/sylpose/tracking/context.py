@@ -197,8 +197,7 @@ class Candidate:
 
     def is_ambiguous(self, options: TrackingOptions) -> bool:
         """Return whether another body might be the object as well."""
-        has_rival = is_rival(self.rival_ratio, len(self.outlines), options)
-        return (has_rival or self.later_ratio > options.max_later_ratio) and not self.is_chosen
+        return is_rival(max(self.rival_ratio, self.later_ratio), len(self.outlines), options) and not self.is_chosen
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,9 +25,9 @@ class TrackingOptions:
         max_pooled_f_ratio: largest median F ratio of the last frames in which they do not.
         n_pooled_f_ratios: number of these frames.
         max_rival_ratio: largest share of the tracked body's matches that another body has without making it ambiguous
-            which one is the object; a single body leaves none.
+            which one is the object: one that moves at the same time, or at other times only, as a person who leaves first; a
+            single body leaves none.
         max_rival_ratio_monocular: the same for one camera, in which a part of the object fits another motion.
-        max_later_ratio: the same for a body that moves at other times, as a person who leaves the scene first.
         max_relocalized_rotation_sd: largest standard deviation of the rotation, radians, of a relocalized pose from
             which landmarks are learned, and of the next two.
         min_score: least number of inlier features of a pose, weighted by their noise; a different body of the same
@@ -67,7 +67,6 @@ class TrackingOptions:
     n_pooled_f_ratios: int = 15
     max_rival_ratio: float = 0.1
     max_rival_ratio_monocular: float = 0.5
-    max_later_ratio: float = 0.5
     max_relocalized_rotation_sd: float = 0.005
     min_score: float = 20.0
     max_coasting_frames: int = 15
@@ -120,5 +119,5 @@ _MINIMA = {"max_buffered_frames": 2, "max_keyframes": 3, "max_window_frames": 4,
 _MINIMA |= {"likely_search_pixels": 1024, "min_relocalization_inliers": 4, "min_strong_inliers": 0}
 # Sizes beyond this need more memory than any computer has (derived).
 _MAX_COUNT = 10**9
-_RATIOS = ("max_rival_ratio", "max_rival_ratio_monocular", "max_later_ratio", "max_relocalization_descriptor_ratio")
+_RATIOS = ("max_rival_ratio", "max_rival_ratio_monocular", "max_relocalization_descriptor_ratio")
 _ANGLES = ("max_relocalized_rotation_sd", "min_keyframe_rotation", "min_refinement_rotation")

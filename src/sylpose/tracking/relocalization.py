@@ -77,7 +77,7 @@ def search_lost_object(
 ) -> SearchResult:
     """Search for an object that was missed in the previous frame.
 
-    A pose is accepted only if solving again from it confirms it.
+    A pose is accepted only if solving again from it confirms it, and if no other side of the object looks alike.
 
     Args:
         frame: without regions.
@@ -89,8 +89,8 @@ def search_lost_object(
     if is_costly and context.has_time_for("all features"):
         with context.measure_search("all features", 1.0):
             state, candidate = _search_thoroughly(context, state, frame, predicted_pose)
-    if candidate is not None:
-        return state, candidate
+            if candidate is not None:
+                return state, reject_other_side(context, state, candidate, predicted_pose)
     near_pose = predicted_pose if has_prediction and not is_costly else None
     # In the first missed frame it is near; a known object is required from the first frame on.
     is_likely = state.motion.hypothesis is not None or state.motion.n_missed == 1
@@ -101,8 +101,10 @@ def search_lost_object(
         return state, None
     with context.measure_search(kind, share):
         if state.motion.hypothesis is not None:
-            return _search_at_hypothesis(context, state, frame, round(share * n_pixels))
-        return _search_next_region(context, state, frame, near_pose, round(share * n_pixels))
+            state, candidate = _search_at_hypothesis(context, state, frame, round(share * n_pixels))
+        else:
+            state, candidate = _search_next_region(context, state, frame, near_pose, round(share * n_pixels))
+        return state, reject_other_side(context, state, candidate, predicted_pose)
 
 
 def _search_next_region(
@@ -320,8 +322,7 @@ def search_again(
     if (is_costly or candidate is None) and context.has_time_for(kind):
         with context.measure_search(kind, 1.0):
             state, fallback = search(context, state, frame, predicted_pose)
-    if fallback is not None and is_side_ambiguous(context, state, fallback, predicted_pose):
-        fallback = None
+            fallback = reject_other_side(context, state, fallback, predicted_pose)
     if fallback is None and _is_plausible(context, state, candidate, predicted_pose):
         return state, candidate
     return state, fallback
@@ -351,16 +352,16 @@ def has_known_references(state: JointState, candidate: PoseCandidate) -> bool:
 # --- repetitive patterns ----------------------------------------------------------------------------------------------
 
 
-def is_side_ambiguous(
-    context: Context, state: JointState, candidate: PoseCandidate, predicted_pose: RigidTransform
-) -> bool:
-    """Return whether a pose rotated from the predicted one may be that of another side, which looks alike.
+def reject_other_side(
+    context: Context, state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform
+) -> PoseCandidate | None:
+    """Return a pose, if there is one; None if it is rotated from the predicted one and may be of a side that looks alike.
 
     Many features of a repetitive pattern match those of other sides. If the visible side is in no keyframe, only a wrong
     one is found. Keyframes of one side only do not show it, nor does a pattern that repeats within one view.
     """
-    if np.linalg.norm(relative_rotvec(predicted_pose, candidate.pose)) <= OTHER_SIDE_ROTATION:
-        return False
+    if candidate is None or np.linalg.norm(relative_rotvec(predicted_pose, candidate.pose)) <= OTHER_SIDE_ROTATION:
+        return candidate
     keyframes, viewpoints = state.frames.keyframes, compute_viewpoints(context.rig, candidate.pose)
     visible = [[k for k in keyframes if k.is_visible[c]] for c in context.executor.local]
     compared = [own[:: -(-len(own) // N_KEYFRAMES**2) or 1] for own in visible]
@@ -368,7 +369,7 @@ def is_side_ambiguous(
     count = partial(_count_alike, radius=state.object.radius)
     counts = context.executor.gather(context.executor.run(count, context.cameras, nearest, compared), (0, 0))
     n_same, n_elsewhere = np.array(counts).sum(axis=0)
-    return bool(n_elsewhere >= MIN_MATCHES and n_elsewhere > MAX_ALIKE_RATIO * n_same)
+    return None if n_elsewhere >= MIN_MATCHES and n_elsewhere > MAX_ALIKE_RATIO * n_same else candidate
 
 
 def _count_alike(

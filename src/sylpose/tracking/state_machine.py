@@ -27,7 +27,7 @@ from sylpose.tracking.pose_search import (
     is_weakly_supported,
     track_from_anchor,
 )
-from sylpose.tracking.relocalization import is_side_ambiguous, search_again, search_lost_object
+from sylpose.tracking.relocalization import search_again, search_lost_object
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.window import apply_refinement
 
@@ -90,7 +90,7 @@ def recover(context: Context, state: JointState, frame: Frame) -> FrameResult:
     """Search for an object missed in the previous frame, with bounded work (`relocalization`)."""
     predicted_pose = state.predict_pose(frame.time)
     state, candidate = search_lost_object(context, state, frame, predicted_pose)
-    if candidate is None or is_side_ambiguous(context, state, candidate, predicted_pose):
+    if candidate is None:
         return handle_missing_object(context, state, frame, predicted_pose)
     return accept_frame(context, state, candidate)
 
