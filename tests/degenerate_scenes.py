@@ -225,7 +225,7 @@ CASES: dict[str, Case] = {
     ),
     "one camera with 60, the others with 1": Case(
         lambda s: keep_first_matches(make_scene(make_zigzag_rig(4), BODY, draw_motion(s, 10.0), s), [60, 1, 1, 1]),
-        {OK, SCALE},
+        {OK, SCALE, TURN},
         8.0,
         0.05,
     ),

@@ -93,7 +93,7 @@ def by_quadrature(weight: Weight, cutoff: float) -> NoiseResponse:
         return w(r) + 0.5 * r * (w(r + h) - w(abs(r - h))) / (2 * h)
 
     of_square = mean(lambda r: w(r) ** 2 * r * r / 2)
-    return NoiseResponse(mean(w), mean(lambda r: w(r) * r * r / 2), mean(slope) ** 2 / of_square)
+    return NoiseResponse(mean(w), mean(lambda r: w(r) * r * r / 2), of_square, mean(slope) ** 2 / of_square)
 
 
 @both

@@ -61,7 +61,7 @@ def measure_evidence(
     moved = rotation @ (term.center - center) + center + translation - term.center
     shift = term.rotation @ moved / np.linalg.norm(term.center - center)
     return CameraEvidence(
-        *compare_motions(term.x, term.y, term.focal, term.rotation @ rotation @ term.rotation.T, shift, 0.0)[:4]
+        *compare_motions(term.x, term.y, term.focal, term.rotation @ rotation @ term.rotation.T, shift, 0.0)
     )
 
 

@@ -183,7 +183,7 @@ def test_mismatches_do_not_choose_the_evidence(clip: Clip, monkeypatch: pytest.M
         viewpoints = compute_viewpoints(clip.rig, pose)
         return SolvedFrame(number, 0.0, np.zeros(3), pose, np.zeros((6, 6)), viewpoints, np.ones(3, bool))
 
-    monkeypatch.setattr(frame_module, "compare_motions", lambda x, *_: (len(x), 0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr(frame_module, "compare_motions", lambda x, *_: (len(x), 0.0, 0.0, 0.0))
     near, far = make_matches(1, np.full(20, 8.0)), make_matches(2, np.full(20, 12.0))
     assert choose(near, far) == choose(far, near) == 2
     # A period of 100 pixels: these moved as little as `near`, and less than `far`.

@@ -75,11 +75,13 @@ class NoiseResponse(NamedTuple):
     Attributes:
         weight: the mean weight.
         square: the mean weighted square of a coordinate, in variances.
+        score: the mean square of a weighted coordinate, in variances.
         efficiency: the variance of plain least squares over that of the weighted estimate.
     """
 
     weight: float
     square: float
+    score: float
     efficiency: float
 
     @property
@@ -116,8 +118,8 @@ def _compute_noise_response(weight: FloatArray, cutoff: float) -> NoiseResponse:
         power = np.arange(len(polynomial)) + times_s
         return float(polynomial @ (gammainc(power + 1, a) * gamma(power + 1) / a ** (power - times_s)))
 
-    slope = mean(weight * (1 + np.arange(len(weight))))
-    return NoiseResponse(mean(weight), mean(weight, 1), slope**2 / mean(np.convolve(weight, weight), 1))
+    slope, score = mean(weight * (1 + np.arange(len(weight)))), mean(np.convolve(weight, weight), 1)
+    return NoiseResponse(mean(weight), mean(weight, 1), score, slope**2 / score)
 
 
 def chi_squared_bound(freedom: int, probability: float = SIGNIFICANCE) -> float:

@@ -140,7 +140,7 @@ def compare_motions(
     rotation: FloatArray,
     translation: FloatArray,
     share_sd: float,
-) -> tuple[int, float, float, float, float]:
+) -> tuple[int, float, float, float]:
     """Compare a camera's own motion with the joint one.
 
     Args:
@@ -151,10 +151,10 @@ def compare_motions(
         share_sd: standard deviation of the share of the motion that the camera sees, from its clock.
 
     Returns:
-        the fields of `CameraEvidence`; the unadjusted excess: with neither calibration errors nor a design effect.
+        the fields of `CameraEvidence`.
     """
     if len(x) < MIN_MATCHES or not np.sqrt(dot(translation, translation)) > MIN_BASELINE:
-        return 0, np.nan, np.nan, np.nan, np.nan
+        return 0, np.nan, np.nan, np.nan
     n = len(x)
     own, residuals = np.empty(n), np.empty(n)
     own_rotation, own_translation = rotation.copy(), translation.copy()
@@ -171,7 +171,7 @@ def compare_motions(
 
 def measure_excess(
     data: Sequence[TermData], center: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """Compare the own motion of each term with the joint one.
 
     Args:
@@ -180,17 +180,16 @@ def measure_excess(
         rotation, translation: (3, 3) R and (3,) d of the joint motion.
 
     Returns:
-        (T,) the excess; (T,) the unadjusted excess (`compare_motions`); NaN without evidence.
+        (T,) the excess; NaN without evidence.
     """
-    compared = compare_terms(data, center, rotation, translation)
-    return compared[:, 3], compared[:, 4]
+    return compare_terms(data, center, rotation, translation)[:, 3]
 
 
 def compare_terms(
     data: Sequence[TermData], center: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> FloatArray:
-    """Return (T, 5) what `compare_motions` returns for each of T terms; see `measure_excess`."""
-    compared = np.empty((len(data), 5))
+    """Return (T, 4) what `compare_motions` returns for each of T terms; see `measure_excess`."""
+    compared = np.empty((len(data), 4))
     if data:
         _compare_terms(compared, center, rotation, translation, *concatenate_terms(data))
     return compared
@@ -217,7 +216,7 @@ def _compare_terms(
         usable = find_usable(before, after, focal[t])
         moved = _transfer_motion(rotations_x[t], rotations[t], centers_x[t], centers[t], center, rotation, translation)
         own = compare_motions(before[usable], after[usable], focal[t], moved[0], moved[1], 0.0)
-        compared[t, 0], compared[t, 1], compared[t, 2], compared[t, 3], compared[t, 4] = own
+        compared[t, 0], compared[t, 1], compared[t, 2], compared[t, 3] = own
 
 
 def measure_distances(term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -266,7 +265,7 @@ def _measure_excess(
     rotation: FloatArray,
     translation: FloatArray,
     share_sd: float,
-) -> tuple[int, float, float, float, float]:
+) -> tuple[int, float, float, float]:
     """Fit a camera's own motion, beginning with the weighted matches; return what `compare_motions` does."""
     residuals, before, damping = np.empty(len(x)), np.empty(len(x)), 1e-3
     is_widened, narrow = False, own
@@ -277,7 +276,7 @@ def _measure_excess(
         if not _trim(x, y, focal, own, own_rotation, own_translation, residuals, False):
             if is_widened:
                 break
-            return 0, np.nan, np.nan, np.nan, np.nan
+            return 0, np.nan, np.nan, np.nan
         if has_converged and (own == before).all():
             if is_widened:
                 break
@@ -306,8 +305,7 @@ def _measure_excess(
         own_squares += own[i] * residuals[i] ** 2
     joint_squares, joint_cost = _marginalize_calibration(x, y, focal, own, rotation, translation, effective, share_sd)
     excess = min(max(joint_cost - own_squares / effective, 0.0), MAX_EXCESS)
-    unadjusted = max(joint_squares - own_squares, 0.0) / sigma**2
-    return count, sigma, np.sqrt(joint_squares / own.sum()), excess, min(unadjusted, MAX_EXCESS)
+    return count, sigma, np.sqrt(joint_squares / own.sum()), excess
 
 
 @leaf

@@ -17,7 +17,7 @@ from sylpose.relative_pose.motion_mixture import (
 )
 from sylpose.relative_pose.observability import is_collinear, is_static
 from sylpose.relative_pose.terms import Stack
-from sylpose.relative_pose.uncertainty import compute_size_if_curved
+from sylpose.relative_pose.uncertainty import compute_size_if_curved, measure_variance_inflation
 
 
 class FitDiagnostics(NamedTuple):
@@ -34,8 +34,8 @@ class FitDiagnostics(NamedTuple):
         may_be_static: whether the motion may be zero, if the valley is straight (`is_static`).
         dependence: of the residuals on the motion (`measure_dependence`).
         is_mixed: whether neighboring residuals are correlated (`is_mixed`).
-        information, information_without_depth: (6, 6) without the part that noise alone causes. The covariance is that
-            of Student's distribution, as the noise is estimated.
+        information, information_without_depth: (6, 6) without the part that noise alone causes, inflated by the scatter
+            of groups of matches. The covariance is that of Student's distribution, as the noise is estimated.
     """
 
     inliers: int
@@ -71,8 +71,9 @@ def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: Float
         soft_assignment = soft_assignment or (probabilities[i] > 0.0 and probabilities[i] < 1.0)
     freedom = max(inliers - 6, 1)
     noise, student = fit.noise_information, max(freedom - 2, 1) / freedom
-    information = student * subtract_information(fit.information, noise)
-    without_depth = student * subtract_information(fit.information_without_depth, noise)
+    share = student / measure_variance_inflation(stack, probabilities, fit)
+    information = share * subtract_information(fit.information, noise)
+    without_depth = share * subtract_information(fit.information_without_depth, noise)
     curved = compute_size_if_curved(fit, radius) > 0.0
     uncertain = curved or soft_assignment
     mixed = is_mixed(*correlate_neighbors(stack, fit), uncertain)

@@ -87,7 +87,7 @@ def solve_without_faulty_cameras(data: Sequence[TermData], solution: Solution, r
     if is_contradicted or sees_other.any():
         # Before a background only what has moved counts: one essential matrix may explain both.
         moved = _select_moved(data) if solution.fit.static_ratio > 0.0 else data
-        excess, _ = measure_excess(moved, solution.center, solution.fit.rotation, solution.fit.translation)
+        excess = measure_excess(moved, solution.center, solution.fit.rotation, solution.fit.translation)
         axes = find_pixel_axes(rig, moved, excess)
         # Any two cameras nearly agree. One that sees no motion of its own is at fault, whatever the others see.
         is_unproven = sees_other.any() and np.count_nonzero(agrees) < MIN_KEPT_POOLED
@@ -120,7 +120,7 @@ def _compare_all(data: Sequence[TermData], solution: Solution, rejected: BoolArr
         another motion, about as exactly as the others see theirs.
     """
     motion = solution.center, solution.fit.rotation, solution.fit.translation
-    n, own_px, _, excess, _ = compare_terms(data, *motion).T
+    n, own_px, _, excess = compare_terms(data, *motion).T
     agrees = ~rejected & (n > 0)
     noise_px = np.max(own_px, initial=0.0, where=agrees)
     displacement_px = np.array([term.focal * np.median(np.linalg.norm(term.y - term.x, axis=1)) for term in data])
@@ -179,7 +179,7 @@ def _solve_part(data: Sequence[TermData], kept: Sequence[int], solve: TermSolver
 
 def _compare(data: Sequence[TermData], solution: Solution, kept: IntArray) -> _Agreement:
     motion = solution.center, solution.fit.rotation, solution.fit.translation
-    excess, _ = measure_excess([data[c] for c in kept.tolist()], *motion)
+    excess = measure_excess([data[c] for c in kept.tolist()], *motion)
     worst = float(np.nanmax(excess, initial=0.0, where=~np.isnan(excess)))
     return _Agreement(solution, compute_f_ratio(excess, len(excess)), worst)
 

@@ -307,4 +307,4 @@ def _measure_excess(views: Sequence[tuple[Camera, CameraMatches]]) -> FloatArray
     has_baseline = fit.status.has_pose and all(
         np.linalg.norm(transfer_motion(term, *motion)[1]) > MIN_BASELINE for term in terms
     )
-    return measure_excess(terms, *motion)[0] if has_baseline else np.full(len(terms), np.inf)
+    return measure_excess(terms, *motion) if has_baseline else np.full(len(terms), np.inf)

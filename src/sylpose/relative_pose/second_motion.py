@@ -104,7 +104,7 @@ def _fit_bodies(
         two = fit_two(divide_inliers(data, solution, min_sigma_px))
     if two is None or (first is not None and first.likelihood_gain >= two.likelihood_gain):
         return first
-    excess, _ = measure_excess(data, center, fit.rotation, fit.translation)
+    excess = measure_excess(data, center, fit.rotation, fit.translation)
     if len(data) > 2 and find_pixel_axes(rig, data, excess):
         return first
     # The mixture may be at a local maximum: search the motions of its parts.
@@ -120,7 +120,7 @@ def _fit_bodies(
 def _agree(data: Sequence[TermData], masks: Sequence[BoolArray], center: FloatArray, fit: Fit) -> bool:
     """Return whether the cameras agree on the motion of the masked matches; of several, two must have evidence."""
     kept = [term.subset(mask) for term, mask in zip(data, masks, strict=True)]
-    excess, _ = measure_excess(kept, center, fit.rotation, fit.translation)
+    excess = measure_excess(kept, center, fit.rotation, fit.translation)
     known = excess[np.isfinite(excess)]
     # With many cameras one may exceed the bound: assigned matches are cut off where the other body begins.
     is_small = float(np.max(known, initial=0.0)) <= MAX_CONSISTENT_EXCESS

@@ -19,7 +19,6 @@ from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.relative_pose import motion_mixture, observability, uncertainty
 from sylpose.relative_pose.camera_evidence import (
     MIN_REDUCTION,
-    compute_design_effect,
     compute_f_ratio,
     measure_distances,
     measure_excess,
@@ -331,7 +330,9 @@ def _build_fit(
     if not (has_converged and np.isfinite(irls_fit.information).all()):
         return problem.fail(Status.NOT_CONVERGED)
     if checks.is_mixed and not checks.has_soft_assignment:
-        checks = _explain_correlation(problem, irls_fit, checks)
+        # If the cameras' own motions agree with it, it is no mixture: neighbors share an error.
+        excess = measure_excess(problem.data, problem.center, rotation, translation)
+        checks = checks._replace(is_mixed=not compute_f_ratio(excess, len(excess)) <= MIN_REDUCTION)
     information, may_be_static = (checks.information, checks.information_without_depth), checks.may_be_static
     if checks.may_be_curved or checks.has_soft_assignment:
         curvature = uncertainty.compute_curvature_covariance(stack, probabilities, irls_fit, radius)
@@ -378,26 +379,6 @@ def _build_fit(
 def _inflate_both(information: Information, columns: FloatArray) -> Information:
     """Inflate both covariances by F F', F (6, m)."""
     return uncertainty.inflate(information[0], columns), uncertainty.inflate(information[1], columns)
-
-
-def _explain_correlation(problem: _Problem, irls_fit: IrlsFit, checks: FitDiagnostics) -> FitDiagnostics:
-    """Return the diagnostics of a fit with correlated residuals of neighbors.
-
-    If the cameras' own motions agree with it, it is no mixture: neighbors share an error, and the matches are fewer
-    measurements. The covariance is multiplied by the design effect, or by the Birge ratio of the cameras if it is larger:
-    the F ratio without any allowance for such errors.
-    """
-    rotation, translation, _ = irls_fit.candidate
-    excess, unadjusted = measure_excess(problem.data, problem.center, rotation, translation)
-    f_ratio = compute_f_ratio(excess, len(excess))
-    if not f_ratio <= MIN_REDUCTION:
-        return checks
-    weights, residuals = problem.split_by_term(irls_fit.weights), problem.split_by_term(irls_fit.residuals_px)
-    parts = zip(problem.data, weights, residuals, strict=True)
-    design_effect = float(np.mean([compute_design_effect(term.y, w, r) for term, w, r in parts]))
-    effect = max(design_effect, compute_f_ratio(unadjusted, len(excess)))
-    information = checks.information / effect, checks.information_without_depth / effect
-    return checks._replace(is_mixed=False, information=information[0], information_without_depth=information[1])
 
 
 def _consider_alternatives(
@@ -533,9 +514,8 @@ def warm_up() -> None:
 def warm_up_evidence() -> None:
     """Compile the comparison of the cameras' own motions with the joint one."""
     terms, motion = _make_terms(), (np.zeros(3), np.eye(3), np.array([0.1, 0.0, 0.0]))
-    compute_design_effect(terms[0].x, *np.ones((2, len(terms[0]))))
     measure_distances(terms[0], *motion)
-    excess, _ = measure_excess(terms, *motion)
+    excess = measure_excess(terms, *motion)
     compute_f_ratio(excess)
     compute_f_ratio(excess, len(excess))
     pool_f_ratios(excess)

@@ -16,8 +16,11 @@ motion. Cameras all around resolve this ambiguity, cameras close together do not
 likely and distant is an alternative: the result is then ambiguous. A near one, with its own covariance, is included in the
 covariance.
 
+The errors of neighbors may be alike, and those of a camera. So the covariance is inflated by the scatter of groups of
+matches, as that of a trajectory is (`bundle_adjustment.covariance_inflation`).
+
 Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use
-here is ours (docs/method/3-pose.md).
+here is ours (docs/method/3-pose.md). Scatter of groups: K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986.
 """
 
 from __future__ import annotations
@@ -28,8 +31,18 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, dot, kernel, so3_log, solve_factored
-from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.geometry.numba_linalg import (
+    apply_rotvec,
+    cholesky,
+    cholesky_solve,
+    compute_median,
+    compute_sum,
+    dot,
+    kernel,
+    so3_log,
+    solve_factored,
+)
+from sylpose.geometry.robust_loss import bisquare_noise_response, chi_squared_bound
 from sylpose.relative_pose.irls import (
     N_MOTION,
     IrlsFit,
@@ -42,6 +55,7 @@ from sylpose.relative_pose.irls import (
 from sylpose.relative_pose.limits import CUTOFF, HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE, SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
+    Term,
     build_match_equations,
     make_match_equations,
     make_match_errors,
@@ -314,6 +328,92 @@ def inflate(information: FloatArray, columns: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError:  # overflow: no information is left
         return np.zeros_like(information)
     return np.asarray(0.5 * (inflated + inflated.T))
+
+
+# Parts of a camera's image whose errors may be alike, halves in both directions (choice).
+N_PARTS = 4
+# The scatter of the weighted errors of independent matches, over their information (derived).
+INDEPENDENT_SCATTER = bisquare_noise_response(CUTOFF).score / bisquare_noise_response(CUTOFF).weight
+# Least degrees of freedom of a scatter (choice: that of two cameras has 0.8; with 1, twice as many pairs with smooth errors
+# are wrong and sure).
+MIN_SCATTER_FREEDOM = 0.5
+
+
+@kernel
+def measure_variance_inflation(stack: Stack, usable: InlierPrior, fit: IrlsFit) -> float:
+    """Return the variance of a fit relative to that with independent errors, at least 1.
+
+    Parts of the images disagree if errors vary smoothly over them, and cameras if the calibration is wrong. With few
+    cameras neither is precise, so their excesses are added, which is conservative.
+
+    Args:
+        usable: (N,) matches that may be inliers, or their probabilities.
+        fit: the result of `run_irls`.
+    """
+    n, m = stack.focal.shape[0], stack.x.shape[0]
+    matches, equations, joint = make_match_errors(m), make_match_equations(False), make_joint_system(n)
+    joint.total[6, 6] = 1.0
+    scores, information = np.zeros((N_PARTS * n, 7)), np.zeros((N_PARTS * n, 7, 7))
+    matrices, rights, motion = np.empty((N_PARTS, 12, 12)), np.empty((N_PARTS, 12)), np.zeros((12, 7))
+    # The inliers of each term, part after part.
+    x, y, probabilities = np.empty((m, 2)), np.empty((m, 2)), np.empty(m)
+    by_part = Stack(x, y, *stack[2:])
+    for t in range(n):
+        start, end = stack.offsets[t], stack.offsets[t + 1]
+        weights = fit.weights[start:end]
+        mass = compute_sum(weights)
+        if not mass > 0.0:
+            continue
+        inliers = stack.x[start:end][weights > 0.0]
+        middle0, middle1 = compute_median(inliers[:, 0]), compute_median(inliers[:, 1])
+        term = make_term(stack, t, fit.candidate, make_tolerance(stack, t, fit, mass, CUTOFF))
+        last = start
+        for k in range(N_PARTS):
+            first = last
+            for i in range(start, end):
+                if fit.weights[i] > 0.0 and (stack.x[i, 0] > middle0) + 2 * (stack.x[i, 1] > middle1) == k:
+                    x[last], y[last], probabilities[last] = stack.x[i], stack.y[i], usable[i]
+                    last += 1
+            build_match_equations(by_part, Term(first, last, *term[2:]), probabilities, matches, equations)
+            matrices[k], rights[k] = equations.matrix, equations.right
+        equations.matrix[:], equations.right[:] = 0.0, 0.0
+        for k in range(N_PARTS):
+            equations.matrix[:] += matrices[k]
+            equations.right[:] += rights[k]
+        if not reduce_term(stack, t, fit.candidate, fit.distance_offset[0], equations, 1.0, joint):
+            return 1.0
+        # Derivatives by motion and distance offset, with the response of the depth model.
+        motion[:3, :3], motion[3:6, 3:6], motion[6:] = stack.qy[t], stack.qy[t], -joint.gains[t][:, :7]
+        across = np.ascontiguousarray(motion.T)
+        for k in range(N_PARTS):
+            lower = matrices[k]
+            symmetric = lower + lower.T
+            for i in range(12):
+                symmetric[i, i] = lower[i, i]
+            scores[N_PARTS * t + k] = np.dot(across, rights[k])
+            information[N_PARTS * t + k] = np.dot(np.dot(across, symmetric), motion)
+    if not cholesky(joint.total):
+        return 1.0
+    inflation = 1.0
+    for size in (1, N_PARTS):
+        scatter, expected = 0.0, 0.0
+        for first in range(0, N_PARTS * n, size):
+            score, share = np.zeros(7), np.zeros((7, 7))
+            for k in range(first, first + size):
+                score += scores[k]
+                share += information[k]
+            step = score.copy()
+            solve_factored(joint.total, step)
+            scatter += dot(score, step)
+            for i in range(7):
+                solve_factored(joint.total, share[i])
+            for i in range(7):
+                expected += share[i, i]
+                for j in range(7):
+                    expected -= share[i, j] * share[j, i]
+        if expected > MIN_SCATTER_FREEDOM:
+            inflation += max(scatter / (INDEPENDENT_SCATTER * expected) - 1.0, 0.0)
+    return inflation
 
 
 @kernel

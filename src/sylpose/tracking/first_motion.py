@@ -135,7 +135,7 @@ class FirstMotion:
 
 def _compute_fit_f_ratio(by_camera: Iterable[Sequence[TermData]], fit: Fit, center: FloatArray) -> float:
     """Compute the F ratio of the cameras' own motions to a fit about a center (3,); NaN unless several have evidence."""
-    excess = [measure_excess(own, center, fit.rotation, fit.translation)[0] for own in by_camera]
+    excess = [measure_excess(own, center, fit.rotation, fit.translation) for own in by_camera]
     worst = np.array([np.fmax.reduce(own, initial=np.nan) for own in excess])
     return float(compute_f_ratio(worst, MIN_KEPT_POOLED))
 

@@ -617,7 +617,7 @@ class CameraTracker:
         by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
         following = ((residual_px < self.static_px) - by_chance).sum()
         compared = compare_motions(x, y, self.camera.focal, rotation, motion.translation / distance, 0.0)
-        return float(following), CameraEvidence(*compared[:4]), int(np.count_nonzero(~has_moved))
+        return float(following), CameraEvidence(*compared), int(np.count_nonzero(~has_moved))
 
     def count_replaced(self, center: Region, images: FrameSet, first: SolvedFrame) -> tuple[int, int]:
         """Count the first frame's features in a region, and those at whose place the image shows something else.

@@ -645,7 +645,7 @@ def add_evidence(
     is_known_object = known_frames[pair.reference].is_fixed
     share_sd = 0.0 if is_known_object else CLOCK_SD_FRAMES / abs(solved.number - pair.reference)
     compared = compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation, share_sd)
-    evidence = CameraEvidence(*compared[:4])
+    evidence = CameraEvidence(*compared)
     return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
 
 
