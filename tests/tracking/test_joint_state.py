@@ -293,12 +293,14 @@ def test_known_size_resets_state() -> None:
     )
     state = replace(state, object=replace(state.object, is_depth_guessed=True))
     assert sorted(state.frames.by_number) == [0, 1, 2, 3]
-    young = state.reset_to_first_frame(0.05)
+    young = state.reset_to_first_frame(0.05, 0.1 * np.eye(6))
     assert list(young.frames.by_number) == [0]
     assert (young.object.radius, young.object.is_depth_guessed) == (0.05, False)
     # Only the first frame's pose does not depend on depths from boxes.
     assert [(k.number, k.landmark_age) for k in young.frames.keyframes] == [(0, 1.0)]
     assert young.frames.keyframes[0] is young.last
+    # Until a refinement, no pose is more certain than the motion that determined depth.
+    np.testing.assert_array_equal(young.refinement.covariance, 0.1 * np.eye(6))
     assert state.last.landmark_age == state.frames.keyframes[0].landmark_age == 3.0
     assert (state.object.radius, state.object.is_depth_guessed) == (RADIUS, True)
 

@@ -38,7 +38,7 @@ from sylpose.tracking.first_motion import (
     find_rivals,
     is_continuing_motion,
 )
-from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel
+from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel, Refinement
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import find_pose, is_scattered
@@ -218,7 +218,11 @@ def _initialize_from_motion(
         else candidate.is_ambiguous(context.options)
     )
     ambiguity = AMBIGUITY_REASON if is_ambiguous else ""
-    state = JointState(_create_model(context, first_motion, first_pose, end_pose), ambiguity=ambiguity)
+    state = JointState(
+        _create_model(context, first_motion, first_pose, end_pose),
+        refinement=Refinement(first_motion.estimate_pose(first_pose, first_motion.radius).covariance),
+        ambiguity=ambiguity,
+    )
     frame = replace(first, regions=context.project_regions(state, first_pose))
     motion = KnownMotion({first.number: first_pose}, end_pose, first_motion.radius)
     sides = [
