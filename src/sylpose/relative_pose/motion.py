@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry import validation
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information, make_motion_about, remove_direction
-from sylpose.geometry.numba_linalg import kernel, leaf
+from sylpose.geometry.numba_linalg import index_distinct_rows, kernel, leaf
 from sylpose.geometry.robust_loss import NoisePx, NoiseUnits, chi_squared_bound, make_noise_units
 from sylpose.matches import STATIC_PX, Matches
 from sylpose.methods import MOTION_METHODS
@@ -105,28 +105,32 @@ def find_first_copies(x: FloatArray, y: FloatArray, tolerance: float) -> IntArra
     that are nearer than the tolerance in both images are, if there are more of them than by chance: of independent
     matches a quarter of the pairs within twice the tolerance.
     """
-    n, n_near, n_around = len(x), 0, 0
-    order, place, copied = np.argsort(x[:, 0]), np.empty(n, np.int64), np.arange(n)
+    n, rows, inverse = index_distinct_rows(x, y)
+    rows = rows[:n]
+    x, y = x[rows], y[rows]
+    wider = 1 if n > 0 and np.ptp(x[:, 1]) > np.ptp(x[:, 0]) else 0
+    along, n_near, n_around = x[:, wider].copy(), 0, 0
+    order, place, first = np.argsort(along), np.empty(n, np.int64), np.arange(n)
     for k in range(n):
         place[order[k]] = k
         for m in range(k + 1, n):
             i, j = order[k], order[m]
-            if x[j, 0] - x[i, 0] > 2.0 * tolerance:
+            if along[j] - along[i] > 2.0 * tolerance:
                 break
             distance = _measure_distance(x, y, i, j)
-            n_near += 0.0 < distance <= tolerance
-            n_around += 0.0 < distance <= 2.0 * tolerance
+            n_near += distance <= tolerance
+            n_around += distance <= 2.0 * tolerance
     excess = n_near - 0.25 * n_around
-    limit = tolerance if excess > 0.0 and excess * excess > MAX_CHANCE_SQUARE * 0.1875 * n_around else 0.0
-    for i in range(n):
-        for step in (-1, 1):
-            m = place[i] + step
-            while 0 <= m < n and abs(x[order[m], 0] - x[i, 0]) <= limit:
-                j = order[m]
-                if j < copied[i] and copied[j] == j and _measure_distance(x, y, i, j) <= limit:
-                    copied[i] = j
-                m += step
-    return copied
+    if excess > 0.0 and excess * excess > MAX_CHANCE_SQUARE * 0.25 * 0.75 * n_around:
+        for i in range(n):
+            for step in (-1, 1):
+                m = place[i] + step
+                while 0 <= m < n and abs(along[order[m]] - along[i]) <= tolerance:
+                    j = order[m]
+                    if j < first[i] and first[j] == j and _measure_distance(x, y, i, j) <= tolerance:
+                        first[i] = j
+                    m += step
+    return rows[first[inverse]]
 
 
 @leaf

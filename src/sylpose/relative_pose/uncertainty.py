@@ -330,12 +330,12 @@ def inflate(information: FloatArray, columns: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (inflated + inflated.T))
 
 
-# Parts of a camera's image whose errors may be alike, halves in both directions (choice).
+# Parts of a camera's image whose errors may be alike (derived: halves in both directions, the fewest that show a slope).
 N_PARTS = 4
 # The scatter of the weighted errors of independent matches, over their information (derived).
 INDEPENDENT_SCATTER = bisquare_noise_response(CUTOFF).score / bisquare_noise_response(CUTOFF).weight
-# Least degrees of freedom of a scatter (choice: that of two cameras has 0.8; with 1, twice as many pairs with smooth errors
-# are wrong and sure).
+# Least degrees of freedom of a scatter (derived: fewer are nearer to none. That of two cameras has 0.8; with 1, twice as
+# many pairs with smooth errors are wrong and sure).
 MIN_SCATTER_FREEDOM = 0.5
 
 
