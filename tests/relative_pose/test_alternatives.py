@@ -163,6 +163,8 @@ def test_freedom_is_what_motion_and_planes_leave() -> None:
     assert compute_freedom(stack, found) == pytest.approx((20 - 6 - 3) / 20)
     found.weights[first : first + 2] = 1.0
     assert compute_freedom(stack, found) == pytest.approx((24 - 6 - 3 - 2) / 24)
+    with_empty = stack._replace(offsets=np.insert(stack.offsets, [0, 1, 2], [0, first, len(stack.x)]))
+    assert compute_freedom(with_empty, found) == compute_freedom(stack, found)  # also with terms without matches
     found.weights[3:] = 0.0
     assert compute_freedom(stack, found) == pytest.approx(1 / 6)
 

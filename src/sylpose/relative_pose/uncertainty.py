@@ -125,7 +125,7 @@ def _compute_step(R: FloatArray, d: FloatArray, from_R: FloatArray, from_d: Floa
 
 def compute_freedom(stack: Stack, fit: IrlsFit) -> float:
     """Return the degrees of freedom that a motion and planes leave, as a share of the residuals."""
-    counts = np.add.reduceat(fit.weights > 0.0, stack.offsets[:-1], dtype=np.int64)
+    counts = np.diff(np.append(0, np.cumsum(fit.weights > 0.0))[stack.offsets])  # terms may be without matches
     n_residuals, n_unknowns = max(2 * int(counts.sum()), 1), N_MOTION + int(np.minimum(counts, N_PLANE).sum())
     return max(n_residuals - n_unknowns, 1) / n_residuals
 
