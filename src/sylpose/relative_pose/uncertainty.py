@@ -334,8 +334,8 @@ def inflate(information: FloatArray, columns: FloatArray) -> FloatArray:
 N_PARTS = 4
 # The scatter of the weighted errors of independent matches, over their information (derived).
 INDEPENDENT_SCATTER = bisquare_noise_response(CUTOFF).score / bisquare_noise_response(CUTOFF).weight
-# Least degrees of freedom of a scatter (derived: fewer are nearer to none. That of two cameras has 0.8; with 1, twice as
-# many pairs with smooth errors are wrong and sure).
+# Least degrees of freedom of a scatter (choice: that of two cameras has 0.8; with 1, twice as many pairs with smooth errors
+# are wrong and sure).
 MIN_SCATTER_FREEDOM = 0.5
 
 
