@@ -304,6 +304,7 @@ def _apply_result(
         covariance = covariance + _measure_unexplained_changes(frames, used, result)
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
+    corrected = result.corrected_poses
     for i, k in enumerate(used[1:], start=1):
         if is_refined[k]:
             observability = Observability.NO_TRANSLATION_SCALE if result.rests_on_prior[i] else Observability.ALL
@@ -311,7 +312,7 @@ def _apply_result(
                 observability = Observability.NO_SCALE
             poses[k] = replace(
                 poses[k],
-                world_from_object=result.world_from_object[i],
+                world_from_object=corrected[i],
                 covariance=covariance[i],
                 observability=observability,
                 inliers=counts[i],

@@ -181,6 +181,26 @@ def test_exact_calibration_is_recognized() -> None:
     assert 0.5 < np.mean(normalised) < 9.0
 
 
+def test_effect_of_held_calibration_errors_is_estimated() -> None:
+    """Rotations become twice as accurate at least, those of an exact rig hardly change; the covariance is theirs."""
+    for size, most in ((0.0, 1.1), (0.1, 0.5), (0.3, 0.5)):
+        ratios: list[float] = []
+        normalised: list[float] = []
+        for seed in range(3):
+            reported = perturb_rig(RIG, size, seed)
+            seen = normalize_by(simulate_tracks(BODY, TRUE, RIG, 50, 0.3, seed), RIG, reported)
+            found = refine(reported, seen, recalibrate=False)
+            held, e = (
+                compute_pose_errors(poses, reported, RIG, TRUE)[1:]
+                for poses in (found.world_from_object, found.corrected_poses)
+            )
+            ratios.append(float(np.sqrt((e[:, :3] ** 2).mean() / (held[:, :3] ** 2).mean())))
+            normalised.append(float(np.median(np.einsum("ni,nij,nj->n", e, np.linalg.inv(found.covariance[1:]), e))))
+        assert np.exp(np.log(ratios).mean()) < most
+        assert 1.0 < np.mean(normalised) < 9.0
+        assert not found.calibration_change[0].any()
+
+
 def test_joint_refinement_while_tracking_includes_calibration_errors() -> None:
     normalised: list[float] = []
     for seed in range(2):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.calibration import normalize_by
 from sylpose.bundle_adjustment import keyframes
 from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations
+from sylpose.bundle_adjustment.calibration_refinement import correct_rig, default_calibration_prior
 from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes, select_keyframes
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray
@@ -169,3 +172,19 @@ def test_unconnected_frames_are_reported() -> None:
     landmark = observations.landmark + np.where(at, 10_000, 0)
     own = Observations(observations.frame, observations.camera, landmark, observations.image)
     assert np.flatnonzero(~refine(own, poses).connected).tolist() == [33]
+
+
+def test_effect_of_calibration_errors_is_that_of_all_frames() -> None:
+    values = np.zeros((3, 14))
+    values[:, 4:7] = np.deg2rad([[0.2, -0.1, 0.1], [-0.1, 0.2, 0.0], [0.0, -0.2, 0.2]])
+    poses, reported = true_poses(), correct_rig(RIG, values)
+    seen, options = observe(poses, 0.05, 0.2), replace(OPTIONS, calibration_prior=default_calibration_prior(reported))
+    seen = normalize_by(seen, RIG, reported)
+    found, of_all = (
+        adjust(reported, seen, shake(poses), RADIUS, options)
+        for adjust in (bundle_adjust_by_keyframes, bundle_adjust_with_scale)
+    )
+    assert np.degrees(np.linalg.norm(of_all.calibration_change[:, :3], axis=1).max()) > 0.2
+    np.testing.assert_allclose(found.calibration_change[:, :3], of_all.calibration_change[:, :3], atol=np.deg2rad(0.05))
+    apart = found.corrected_poses.rotation * of_all.corrected_poses.rotation.inv()
+    assert np.degrees(apart.magnitude().max()) < 0.05

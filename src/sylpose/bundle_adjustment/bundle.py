@@ -130,6 +130,13 @@ class BundleResult(FitSummary):
     iterations: int
     correction: CalibrationCorrection | None
 
+    @property
+    def corrected_poses(self) -> RigidTransform:
+        """The N poses, changed by what calibration errors that are not estimated do to them."""
+        change, poses = self.calibration_change, self.world_from_object
+        rotations = Rotation.from_rotvec(change[:, :3]) * poses.rotation
+        return RigidTransform.from_components(poses.translation + change[:, 3:], rotations)
+
 
 @dataclass(frozen=True, eq=False)
 class BundleOptions:
@@ -151,8 +158,9 @@ class BundleOptions:
             of the radius.
         fix_depths: fix the surfaces' depths at the prior, even if rotations could determine them.
         calibration_prior: prior of calibration errors. They are included in the covariance, scaled to the size that the
-            recording shows; None: no errors. The poses of cameras that were moved are always estimated.
-        recalibrate: estimate the calibration errors, instead of only including them in the covariance.
+            recording shows, and their effect on the poses is estimated; None: no errors. The poses of cameras that were
+            moved are always estimated.
+        recalibrate: estimate the calibration errors with all else, instead of only their effect on the poses.
         rough_px: lower limit of the noise at first, pixels, which falls to none in a few iterations: graduated
             non-convexity, for starts so far off that robust weights would lose frames (A. Blake, A. Zisserman, "Visual
             Reconstruction", 1987). Then errors of the calibration are estimated from the first iteration, and

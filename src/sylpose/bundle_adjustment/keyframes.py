@@ -188,10 +188,12 @@ def _spread_result(
 ) -> BundleResult:
     """Return the key frames' result for all frames (N,); the others move along with the nearest one, unconnected."""
     used, keys = is_key[observations.frame], np.flatnonzero(is_key)
-    index = np.searchsorted(keys[:-1] + keys[1:], 2 * np.arange(len(is_key)))
+    numbers = np.arange(len(is_key))
+    index = np.searchsorted(keys[:-1] + keys[1:], 2 * numbers)
     weights, residuals = np.zeros(len(observations)), np.zeros((len(observations), 2))
     weights[used], residuals[used] = result.weights, result.residuals
     correction = result.world_from_object * world_from_object[keys].inv()
+    change = np.column_stack([np.interp(numbers, keys, column) for column in result.calibration_change.T])
     return replace(
         result,
         world_from_object=correction[index] * world_from_object,
@@ -200,6 +202,7 @@ def _spread_result(
         weights=weights,
         residuals=residuals,
         variance_inflation=result.variance_inflation[index],
+        calibration_change=change,
         rests_on_prior=result.rests_on_prior[index],
         surface_covariance=result.surface_covariance[index],
     )

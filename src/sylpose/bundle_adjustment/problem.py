@@ -113,6 +113,8 @@ class FitSummary:
         scale_variance_ratio: in [0, 1], its fraction of the variance of all translations.
         rests_on_prior: (N,) frames in which only the prior on the surfaces' depths determines the translation's length.
         calibration_scale: estimated size of calibration errors relative to their prior; 1 without one.
+        calibration_change: (N, 6) of (w, d), the posterior mean of what calibration errors that are not estimated change;
+            the covariance is about the poses changed by it.
         surface_covariance: (N, 3, 3) covariance of the mean position of the observed surface relative to the object's
             origin (`add_second_order_terms`).
     """
@@ -125,6 +127,7 @@ class FitSummary:
     scale_variance_ratio: float
     rests_on_prior: BoolArray
     calibration_scale: float
+    calibration_change: FloatArray
     surface_covariance: FloatArray
 
 
@@ -335,22 +338,23 @@ class Problem:
         # Inflates the information of the observations, not that of the prior.
         information = (np.linalg.inv(frame_covariance) - self.prior[moving]) / excess[moving, None, None]
         frame_covariance = np.asarray(np.linalg.inv(information + self.prior[moving]), float)
-        # The second moment of the errors: a fixed calibration is also wrong by the estimate of its error.
-        bias = np.outer(held_change, held_change)
-        shared_covariance, covariance = solver.parameter_covariance(median_excess) + bias, np.zeros((len(moving), 6, 6))
+        change = np.zeros((len(moving), 6))
+        change[moving] = -(rows @ held_change)
+        shared_covariance, covariance = solver.parameter_covariance(median_excess), np.zeros((len(moving), 6, 6))
         covariance[moving] = frame_covariance + rows @ shared_covariance @ rows.transpose(0, 2, 1)
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-        shared = self._parameter_covariance(solver, median_excess) + bias
+        # The second moment: that of the errors' estimate is not applied to the shared parameters.
+        shared = self._parameter_covariance(solver, median_excess) + np.outer(held_change, held_change)
         surface_covariance = self._surface_covariance(state, scaled, shared)
         covariance = add_second_order_terms(covariance, surface_covariance)
         path = self._scale_uncertainty(state, solver, median_excess, covariance, connected)
-        unaided = solver.parameter_covariance(median_excess, prior=self._weaken_depth_prior(state)) + bias
+        unaided = solver.parameter_covariance(median_excess, prior=self._weaken_depth_prior(state))
         displacements, rests_on_prior = self._displacements(state), connected & moving
         rests_on_prior[moving] &= is_length_observable(displacements[moving], covariance[moving])
         rests_on_prior[moving] &= ~is_length_observable(
             displacements[moving], frame_covariance + rows @ unaided @ rows.transpose(0, 2, 1)
         )
-        return FitSummary(sigma, covariance, shared, excess, *path, rests_on_prior, scale, surface_covariance)
+        return FitSummary(sigma, covariance, shared, excess, *path, rests_on_prior, scale, change, surface_covariance)
 
     def _displacements(self, state: State) -> FloatArray:
         """Return (N, 3) translations of the object's origin since the first fixed frame."""

@@ -270,7 +270,7 @@ def back_substitute(at: Linearization, step: FloatArray, change: FloatArray, out
 DENSE_FRAMES, DENSE_FILL_RATIO = 100, 0.25
 # Standard deviation of the logarithm of a rig's calibration errors relative to typical ones (choice; its half and twice
 # its value: docs/method/5-uncertainty.md, "Uncertainty").
-SCALE_LOG_SD = 0.5
+SCALE_LOG_SD = 1.0
 # Smallest relative enlargement of the diagonal, against rounding (choice).
 RIDGE = 1e-12
 

@@ -308,4 +308,7 @@ def bundle_frames(
         max_iterations=MAX_ROUNDS,
         coarse=True,
     )
-    return bundle_adjust_with_scale(rig, observations, poses, radius, options)
+    result = bundle_adjust_with_scale(rig, observations, poses, radius, options)
+    # The landmarks, which later frames are aligned with, are of the cameras as calibrated, so the poses are not changed.
+    change = result.calibration_change
+    return replace(result, covariance=result.covariance + change[:, :, None] * change[:, None])
