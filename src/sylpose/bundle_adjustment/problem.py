@@ -25,6 +25,7 @@ from sylpose.bundle_adjustment.kernels import (
     Views,
 )
 from sylpose.bundle_adjustment.reduced_system import (
+    CalibrationEstimate,
     ReducedSystem,
     Solver,
     System,
@@ -329,26 +330,26 @@ class Problem:
         noise = frame_covariance + rows @ pose_covariance @ rows.transpose(0, 2, 1)
         excess = np.ones(len(moving))
         excess[moving] = compute_variance_inflation(at, system, solver, noise)
-        median_excess, scale, held_change = float(np.median(excess[moving])), 1.0, np.zeros(len(is_calibration))
+        shared_excess, scale, held_change = float(np.median(excess[moving])), 1.0, np.zeros(len(is_calibration))
+        change = np.zeros((len(moving), 6))
         if is_calibration.any():
-            scale, held_change = self._estimate_calibration(state, at, median_excess)
+            estimate = self._estimate_calibration(state, at, shared_excess)
+            scale, shared_excess, held_change, change[moving] = estimate
             is_held = is_calibration & self.camera_parameters.fixed
             solver = solver.rescale(np.where(is_held, scale / self.camera_parameters.scale, 1.0))
             rows = solver.gain.reshape(rows.shape)
         # Inflates the information of the observations, not that of the prior.
         information = (np.linalg.inv(frame_covariance) - self.prior[moving]) / excess[moving, None, None]
         frame_covariance = np.asarray(np.linalg.inv(information + self.prior[moving]), float)
-        change = np.zeros((len(moving), 6))
-        change[moving] = -(rows @ held_change)
-        shared_covariance, covariance = solver.parameter_covariance(median_excess), np.zeros((len(moving), 6, 6))
+        shared_covariance, covariance = solver.parameter_covariance(shared_excess), np.zeros((len(moving), 6, 6))
         covariance[moving] = frame_covariance + rows @ shared_covariance @ rows.transpose(0, 2, 1)
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
         # The second moment: that of the errors' estimate is not applied to the shared parameters.
-        shared = self._parameter_covariance(solver, median_excess) + np.outer(held_change, held_change)
+        shared = self._parameter_covariance(solver, shared_excess) + np.outer(held_change, held_change)
         surface_covariance = self._surface_covariance(state, scaled, shared)
         covariance = add_second_order_terms(covariance, surface_covariance)
-        path = self._scale_uncertainty(state, solver, median_excess, covariance, connected)
-        unaided = solver.parameter_covariance(median_excess, prior=self._weaken_depth_prior(state))
+        path = self._scale_uncertainty(state, solver, shared_excess, covariance, connected)
+        unaided = solver.parameter_covariance(shared_excess, prior=self._weaken_depth_prior(state))
         displacements, rests_on_prior = self._displacements(state), connected & moving
         rests_on_prior[moving] &= is_length_observable(displacements[moving], covariance[moving])
         rests_on_prior[moving] &= ~is_length_observable(
@@ -382,7 +383,7 @@ class Problem:
         depths = spread @ shared @ spread.T
         return np.asarray(np.einsum("kci,cd,kdj->kij", directions, depths, directions, optimize=True))
 
-    def _estimate_calibration(self, state: State, at: Linearization, excess: float) -> tuple[float, FloatArray]:
+    def _estimate_calibration(self, state: State, at: Linearization, excess: float) -> CalibrationEstimate:
         """Return `estimate_calibration` for the landmarks at the minimum of the cost."""
         system = self.build_system(state, at)
         solver = system.factorize()

@@ -422,21 +422,35 @@ class System:
         return Factor(None, splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options))
 
 
-def estimate_calibration(solver: Solver, system: System, excess: float) -> tuple[float, FloatArray]:
+class CalibrationEstimate(NamedTuple):
+    """What the observations show of the calibration errors.
+
+    Attributes:
+        scale: root of the expected squared size of the errors, relative to their prior.
+        excess: variance inflation of the observations in the directions of the errors.
+        change: (k,) posterior mean of the change of z: of the fixed errors, with their prior scaled, and of what depends
+            on them.
+        pose_change: (F, 6) change of the frames that it causes.
+    """
+
+    scale: float
+    excess: float
+    change: FloatArray
+    pose_change: FloatArray
+
+
+def estimate_calibration(solver: Solver, system: System, excess: float) -> CalibrationEstimate:
     """Estimate the size of calibration errors, and what freeing a fixed calibration would change.
 
     All errors share one scale relative to their prior, whose logarithm is normal with a mean square scale of 1. In the
     eigenvectors of the system's information on the errors, each estimate has the variance of the system, inflated by
-    `excess`, plus the squared scale.
+    an unknown factor, plus the squared scale. Where there is much information, the estimates show the scale, where there
+    is little, the factor: errors along tracks and of neighbors may resemble those of a calibration.
 
     Args:
         solver: of the system, undamped, with the calibration free.
         system: the reduced system at the minimum of the cost.
-        excess: variance inflation of the observations.
-
-    Returns:
-        root of the expected squared scale; the (k,) posterior mean of the change of z: of the fixed calibration errors,
-        with their prior scaled, and of what depends on them.
+        excess: least variance inflation of the observations; the logarithm of a larger one is uniform.
     """
     parameters, change = system.parameters, np.zeros(len(system.z))
     own, other = parameters.is_calibration, ~parameters.is_calibration & ~solver.fixed
@@ -449,17 +463,20 @@ def estimate_calibration(solver: Solver, system: System, excess: float) -> tuple
     marginal = information[np.ix_(own, own)] - cross @ information[np.ix_(other, own)]
     values, vectors = np.linalg.eigh(0.5 * (marginal + marginal.T))
     values, projections = np.maximum(values, 1e-12), vectors.T @ (slope[own] - cross @ slope[other])
-    normal = np.linspace(-6.0, 6.0, 121)
+    normal = np.linspace(-6.0, 6.0, 61)
     scales = np.exp(SCALE_LOG_SD * normal - SCALE_LOG_SD**2)
-    variance = (scales[:, None] / parameters.scale) ** 2 + excess / values
-    cost = (np.log(variance) + (projections / values) ** 2 / variance).sum(axis=1) + normal**2
+    excesses = excess * 2.0 ** np.arange(0.0, 10.5, 0.5)
+    variance = (scales[:, None, None] / parameters.scale) ** 2 + excesses[:, None] / values
+    cost = (np.log(variance) + (projections / values) ** 2 / variance).sum(axis=2) + normal[:, None] ** 2
     weights = np.exp(-0.5 * (cost - cost.min()))
-    scale = float(np.sqrt(weights @ scales**2 / weights.sum()))
+    weights /= weights.sum()
+    scale = float(np.sqrt(weights.sum(axis=1) @ scales**2))
+    excess = float(np.exp(weights.sum(axis=0) @ np.log(excesses)))
     factors = np.where(own, scale / parameters.scale, 1.0)
     free = ~solver.fixed
     inner = (information * factors * factors[:, None])[np.ix_(free, free)] / excess + np.eye(int(free.sum()))
     change[free] = np.linalg.solve(inner, np.where(own & parameters.fixed, factors * score / excess, 0.0)[free])
-    return scale, change
+    return CalibrationEstimate(scale, excess, change, -(solver.gain @ (factors * change)).reshape(-1, 6))
 
 
 @kernel
