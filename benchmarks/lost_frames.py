@@ -1,6 +1,7 @@
 """Cost of frames in which the object is lost, as a multiple of tracked frames of the same run, and how soon it is found.
 
     python benchmarks/lost_frames.py [SCENE ...] [--cameras 2 4] [--sizes 640x480 1280x720] [--seeds 0:1] [--each]
+                                     [--rate FRAMES_PER_SECOND]
 
 A rendered block rotates by a degree per frame and is lost for 32 frames:
 
@@ -14,13 +15,18 @@ frame is one with the status tracked after the first twelve; the median of all o
 frames without a measured pose (median, 90th percentile, worst), the cost of the dearest frame with one, the number of
 frames from the return to the first measured pose, and the worst rotation error of the frames measured after the return,
 degrees.
+
+With `--rate`, frame sets arrive at that rate, as from live cameras, and those that the tracker has no time for are dropped,
+except for the newest one. The costs are then the lateness of poses, from the arrival of the images to the end of their step,
+with all threads. Their unit is the frame interval. *Start* are the first twelve frames.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import NamedTuple
 from unittest.mock import patch
@@ -36,6 +42,7 @@ from sylpose.simulate import Actor, Scene, compute_demo_truth, make_demo_scene, 
 from sylpose.simulate.render import Path
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import LocalExecutor
+from sylpose.tracking.search_clock import SearchClock
 from sylpose.tracking.tracker import Tracker
 
 N_FRAMES, N_WARM_UP, LOST, RETURN = 84, 12, 32, 64
@@ -101,61 +108,79 @@ SCENES: dict[str, Change] = {"gone": vanish, "leaves": leave, "hidden": hide, "r
 
 
 HEADER = (
-    "| scene | cameras | size | seed | tracked, ms | lost: median, 90 %, worst | found: worst | found after | degrees |\n"
-    + "|---" * 9
-    + "|"
+    "| scene | cameras | size | seed | tracked, ms | start: median, worst | lost: median, 90 %, worst | found: worst "
+    "| found after | degrees | dropped |\n" + "|---" * 11 + "|"
 )
 
 
 class Costs(NamedTuple):
-    """Costs of one run, in tracked frames.
+    """Costs of one run, in tracked frames, or its lateness, in frame intervals.
 
     Attributes:
+        start: (n,) of the first frames.
         lost: (n,) of the frames without a measured pose while the object is away.
         found: of the dearest frame with a measured pose after the warm-up.
         delay: number of frames from the return to the first measured pose.
         degrees: largest rotation error after that; NaN without any.
-        tracked_ms: processor time of a tracked frame, milliseconds.
+        tracked_ms: of a tracked frame, milliseconds.
+        dropped: number of frames that the tracker had no time for.
         statuses: of all frames.
     """
 
+    start: FloatArray
     lost: FloatArray
     found: float
     delay: int
     degrees: float
     tracked_ms: float
+    dropped: int
     statuses: tuple[str, ...]
 
 
-def measure_costs(name: str, cameras: int, size: tuple[int, int], seed: int) -> Costs:
-    """Track a scene in one thread and measure each frame's processor time."""
+def play_live(sets: Sequence[FrameSet], rate: float) -> Iterator[tuple[FrameSet, float]]:
+    """Yield frame sets and their arrival times, at a rate; of those that arrive meanwhile only the newest one."""
+    begin, k = time.perf_counter(), 0
+    while k < len(sets):
+        time.sleep(max(begin + k / rate - time.perf_counter(), 0.0))
+        k = min(max(k, int(rate * (time.perf_counter() - begin))), len(sets) - 1)
+        yield sets[k], begin + k / rate
+        k += 1
+
+
+def measure_costs(name: str, cameras: int, size: tuple[int, int], seed: int, rate: float = 0.0) -> Costs:
+    """Track a scene in one thread and measure each frame's processor time; with a rate its lateness, with all threads."""
     demo = make_demo_scene(frames=N_FRAMES, angle_deg=1.0 * N_FRAMES, size=size, n_cameras=cameras, seed=seed)
     scene = SCENES[name](demo)
     truth, none = compute_demo_truth(scene), (None,) * cameras
     boxes = {camera: Box(*box) for camera, box in truth.boxes.items()}
     run_here = lambda _, function, *arguments: list(map(function, *arguments))  # noqa: E731
+    here = nullcontext() if rate else patch.object(LocalExecutor, "run", run_here)
     seconds, poses = [], []
-    with patch.object(LocalExecutor, "run", run_here), Tracker(scene.rig, boxes, seed=seed) as tracker:
-        for k, images in enumerate(render_frames(scene)):
+    with here, Tracker(scene.rig, boxes, seed=seed, search_clock=SearchClock() if rate else None) as tracker:
+        sets = (FrameSet(k, k / (rate or 30.0), none, its, none) for k, its in enumerate(render_frames(scene)))
+        for frames, arrival in play_live([*sets], rate) if rate else ((own, 0.0) for own in sets):
             start = time.thread_time()
-            poses += [frame.pose for frame in tracker.step(FrameSet(k, k / 30.0, none, images, none))]
-            seconds.append(time.thread_time() - start)
-    costs, numbers = np.array(seconds), np.arange(len(poses))
+            poses += [frame.pose for frame in tracker.step(frames)]
+            seconds.append(time.perf_counter() - arrival if rate else time.thread_time() - start)
+    costs, numbers = np.array(seconds), np.array([pose.index for pose in poses])
     is_measured = np.array([pose.is_measured for pose in poses])
     is_tracked = np.array([pose.status is FrameStatus.TRACKED for pose in poses]) & (numbers >= N_WARM_UP)
-    unit = float(np.median(costs[is_tracked]))
-    after = numbers[is_measured & (numbers >= RETURN)]
+    tracked = float(np.median(costs[is_tracked]))
+    unit = 1.0 / rate if rate else tracked
+    after = np.flatnonzero(is_measured & (numbers >= RETURN))
     errors = [
-        np.degrees((truth.world_from_object[k].inv() * pose).rotation.magnitude())
+        np.degrees((truth.world_from_object[numbers[k]].inv() * pose).rotation.magnitude())
         for k in after
         if (pose := poses[k].world_from_object) is not None
     ]
     return Costs(
+        costs[numbers < N_WARM_UP] / unit,
         costs[~is_measured & (numbers >= N_WARM_UP)] / unit,
         float(costs[is_measured & (numbers >= N_WARM_UP)].max() / unit),
-        int(after[0] - RETURN) if len(after) else N_FRAMES - RETURN,
+        int(numbers[after[0]] - RETURN) if len(after) else N_FRAMES - RETURN,
         float(max(errors, default=np.nan)),
-        1e3 * unit,
+        1e3 * tracked,
+        N_FRAMES - len(poses),
         tuple(pose.status.value for pose in poses),
     )
 
@@ -166,25 +191,25 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, nargs="+", default=[2, 4])
     parser.add_argument("--sizes", nargs="+", default=["640x480", "1280x720"])
     parser.add_argument("--seeds", default="0:1", help="first:end")
+    parser.add_argument("--rate", type=float, default=0.0, help="frame sets per second, as from live cameras")
     parser.add_argument("--each", action="store_true", help="print the cost of each frame")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     first, _, end = options.seeds.partition(":")
-    print(
-        "| scene | cameras | size | seed | tracked, ms | lost: median, 90 %, worst | found: worst | found after | degrees |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    if options.rate:
+        measure_costs("gone", 2, (320, 240), 0)  # loads what is compiled
+    print(HEADER)
     for name in options.scenes or SCENES:
         for cameras in options.cameras:
             for size in options.sizes:
                 for seed in range(int(first), int(end or int(first) + 1)):
                     width, height = map(int, size.split("x"))
-                    costs = measure_costs(name, cameras, (width, height), seed)
+                    costs = measure_costs(name, cameras, (width, height), seed, options.rate)
                     lost = costs.lost if len(costs.lost) else np.array([np.nan])
                     cells = f"{np.median(lost):.1f}, {np.quantile(lost, 0.9):.1f}, {lost.max():.1f} | {costs.found:.1f}"
                     print(
-                        f"| {name} | {cameras} | {size} | {seed} | {costs.tracked_ms:.0f} | {cells} | {costs.delay} "
-                        f"| {costs.degrees:.2f} |",
+                        f"| {name} | {cameras} | {size} | {seed} | {costs.tracked_ms:.0f} | {np.median(costs.start):.1f}, "
+                        f"{costs.start.max():.1f} | {cells} | {costs.delay} | {costs.degrees:.2f} | {costs.dropped} |",
                         flush=True,
                     )
                     if options.each:

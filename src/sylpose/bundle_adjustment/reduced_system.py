@@ -268,9 +268,10 @@ def back_substitute(at: Linearization, step: FloatArray, change: FloatArray, out
 
 # Systems of at most so many frames, or with this fill ratio, are solved as dense ones (choice).
 DENSE_FRAMES, DENSE_FILL_RATIO = 100, 0.25
-# Standard deviation of the logarithm of a rig's calibration errors relative to typical ones (choice; its half and twice
-# its value: docs/method/5-uncertainty.md, "Uncertainty").
-SCALE_LOG_SD = 1.0
+# Standard deviation of the logarithm of a rig's calibration errors relative to typical ones: where they are held, and where
+# they are estimated as well, in turns with their size, which a wide prior lets shrink too far (choice; half and twice the
+# first: docs/method/5-uncertainty.md, "Uncertainty").
+SCALE_LOG_SD, FREE_SCALE_LOG_SD = 1.0, 0.5
 # Smallest relative enlargement of the diagonal, against rounding (choice).
 RIDGE = 1e-12
 
@@ -463,9 +464,10 @@ def estimate_calibration(solver: Solver, system: System, excess: float) -> Calib
     marginal = information[np.ix_(own, own)] - cross @ information[np.ix_(other, own)]
     values, vectors = np.linalg.eigh(0.5 * (marginal + marginal.T))
     values, projections = np.maximum(values, 1e-12), vectors.T @ (slope[own] - cross @ slope[other])
-    normal = np.linspace(-6.0, 6.0, 61)
-    scales = np.exp(SCALE_LOG_SD * normal - SCALE_LOG_SD**2)
-    excesses = excess * 2.0 ** np.arange(0.0, 10.5, 0.5)
+    is_held = bool((own & parameters.fixed).any())
+    normal, log_sd = np.linspace(-6.0, 6.0, 121), SCALE_LOG_SD if is_held else FREE_SCALE_LOG_SD
+    scales = np.exp(log_sd * normal - log_sd**2)
+    excesses = excess * 2.0 ** np.arange(0.0, 10.5 if is_held else 0.5, 0.5)
     variance = (scales[:, None, None] / parameters.scale) ** 2 + excesses[:, None] / values
     cost = (np.log(variance) + (projections / values) ** 2 / variance).sum(axis=2) + normal[:, None] ** 2
     weights = np.exp(-0.5 * (cost - cost.min()))
