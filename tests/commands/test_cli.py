@@ -869,7 +869,8 @@ def test_results_do_not_depend_on_the_unit(session: Path, tmp_path: Path) -> Non
         assert a.world_from_object is not None
         assert b.world_from_object is not None
         turn = b.world_from_object.rotation * a.world_from_object.rotation.inv()
-        assert turn.magnitude() < 1e-12
-        np.testing.assert_allclose(b.position, 1024 * a.position, rtol=0, atol=1e-11 * np.abs(b.position).max())
-        np.testing.assert_allclose(b.sigma[:3], a.sigma[:3], rtol=1e-9)
+        # Solving for the effect of calibration errors magnifies rounding: their information is a small difference.
+        assert turn.magnitude() < 1e-10
+        np.testing.assert_allclose(b.position, 1024 * a.position, rtol=0, atol=1e-9 * np.abs(b.position).max())
+        np.testing.assert_allclose(b.sigma[:3], a.sigma[:3], rtol=1e-7)
         np.testing.assert_array_equal(b.inliers, a.inliers)
