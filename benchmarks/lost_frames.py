@@ -155,9 +155,10 @@ def measure_costs(name: str, cameras: int, size: tuple[int, int], seed: int, rat
     boxes = {camera: Box(*box) for camera, box in truth.boxes.items()}
     run_here = lambda _, function, *arguments: list(map(function, *arguments))  # noqa: E731
     here = nullcontext() if rate else patch.object(LocalExecutor, "run", run_here)
-    seconds, poses = [], []
+    seconds, poses, interval = [], [], 1.0 / (rate or 30.0)
     with here, Tracker(scene.rig, boxes, seed=seed, search_clock=SearchClock() if rate else None) as tracker:
-        sets = (FrameSet(k, k / (rate or 30.0), none, its, none) for k, its in enumerate(render_frames(scene)))
+        rendered = enumerate(render_frames(scene))
+        sets = (FrameSet(k, k * interval, none, its, none, interval=interval) for k, its in rendered)
         for frames, arrival in play_live([*sets], rate) if rate else ((own, 0.0) for own in sets):
             start = time.thread_time()
             poses += [frame.pose for frame in tracker.step(frames)]
@@ -166,7 +167,7 @@ def measure_costs(name: str, cameras: int, size: tuple[int, int], seed: int, rat
     is_measured = np.array([pose.is_measured for pose in poses])
     is_tracked = np.array([pose.status is FrameStatus.TRACKED for pose in poses]) & (numbers >= N_WARM_UP)
     tracked = float(np.median(costs[is_tracked]))
-    unit = 1.0 / rate if rate else tracked
+    unit = interval if rate else tracked
     after = np.flatnonzero(is_measured & (numbers >= RETURN))
     errors = [
         np.degrees((truth.world_from_object[numbers[k]].inv() * pose).rotation.magnitude())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -48,6 +49,7 @@ class FrameSet:
         masks: (h, w), True on the object, or on any of several; None without an image, or if one object's mask is
             missing.
         object_masks: masks by object, where there are several with masks; see `for_object`.
+        interval: seconds between the frames of a live camera, whether they were dropped or not; NaN if unknown.
     """
 
     index: int
@@ -56,6 +58,7 @@ class FrameSet:
     images: tuple[Image | None, ...]
     masks: tuple[BoolArray | None, ...]
     object_masks: Mapping[str, tuple[BoolArray | None, ...]] = field(default_factory=dict)
+    interval: float = math.nan
 
     @classmethod
     def of(

@@ -7,17 +7,18 @@ from dataclasses import replace
 from itertools import pairwise
 from threading import Event
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.future import BackgroundResult
-from sylpose.tracking import anchor_preparation
+from sylpose.tracking import anchor_preparation, window
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import RESULT_DELAY, JointState, SolvedFrame
+from sylpose.tracking.search_clock import SearchClock
 from sylpose.tracking.tracker import Tracker
 from tests.clips import Clip, compute_pose_errors, frame_sets, make_rotated_pose, moving_scene
 from tests.stored import dump_state, restore_state
@@ -73,6 +74,28 @@ def test_joint_refinement_runs_in_background(tracked_and_states: tuple[list[Trac
             assert after.last.number == before.refinement.pending.number + RESULT_DELAY
             finished += 1
     assert finished >= 1
+
+
+def test_live_poses_do_not_wait_for_refinements(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of few frames are awaited; the next one, which takes long here, is applied once it is known."""
+    go, refine = Event(), window.bundle_frames
+
+    def refine_slowly(*arguments: Any) -> Any:
+        assert len(arguments[2]) < 4 or go.wait(60.0)
+        return refine(*arguments)
+
+    monkeypatch.setattr(window, "bundle_frames", refine_slowly)
+    with Tracker(clip.rig, clip.boxes, search_clock=SearchClock()) as tracker:
+        states = track_states(tracker, clip.frames()[:9])[1]
+        pending = states[-1].refinement.pending
+        assert pending is not None
+        assert pending.number < 8
+        go.set()
+        pending.result.value()
+        (after,) = track_states(tracker, clip.frames()[9:10])[1]
+    assert after.refinement.pending is not pending
+    covariances = [state.frames.by_number[pending.number].covariance for state in (states[-1], after)]
+    assert not np.allclose(*covariances, rtol=1e-3)
 
 
 def test_background_work_keeps_accuracy(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ def run_live(seconds: float, frames: int = 200, other: float = 0.002) -> tuple[l
     for k in range(frames):
         arrival = 100.0 + k * INTERVAL
         now = max(now, arrival)
-        clock.begin_frame(arrival - 100.0)
+        clock.begin_frame(arrival - 100.0, INTERVAL)
         now += other
         share = clock.share("region")
         if share:
@@ -104,7 +105,7 @@ def test_search_that_cannot_be_shortened(seconds: float, is_searched: bool) -> N
     clock = SearchClock(lambda: now)
     for k in range(40):
         now = max(now, k * INTERVAL)
-        clock.begin_frame(k * INTERVAL)
+        clock.begin_frame(k * INTERVAL, INTERVAL)
         if clock.share("all features", 1.0):
             with clock.measure("all features", 1.0):
                 now += seconds
@@ -121,7 +122,7 @@ def test_search_is_tried_again_after_a_busy_time() -> None:
     clock = SearchClock(lambda: now)
     for k in range(400):
         now = max(now, k * INTERVAL)
-        clock.begin_frame(k * INTERVAL)
+        clock.begin_frame(k * INTERVAL, INTERVAL)
         share = clock.share("region")
         if share:
             with clock.measure("region", share):
@@ -150,7 +151,7 @@ def test_tracker_skips_search_without_time(
             number = k
             now = max(now, frame.time)
             work["pixels"].clear()
-            tracker.step(frame)
+            tracker.step(replace(frame, interval=INTERVAL))
             counts.append(len(work["pixels"]))
     assert (counts[9] > 0) == is_searched
     assert counts[8] > 0

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from sylpose.features.patches import SIDE, Patches, sample_patches
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.geometry.numba_linalg import kernel
 from sylpose.matches import STATIC_PX
 from sylpose.rig import Camera
 
@@ -247,30 +248,34 @@ def match_guided(
     rows = np.flatnonzero(np.isfinite(segments).all(axis=(1, 2)))
     if not len(rows) or not len(b):
         return np.empty((0, 2), np.int64)
-    start, along = segments[rows, 0], segments[rows, 1] - segments[rows, 0]
-    length = np.linalg.norm(along, axis=1)
-    near = b.tree.query_ball_point(start + along / 2, length / 2 + max_distance_px)
-    counts = np.array([len(index) for index in near])
-    row, column = np.repeat(np.arange(len(rows)), counts), np.concatenate([*map(np.asarray, near)]).astype(np.int64)
-    offset = b.pixels[column] - start[row]
-    fraction = np.clip((offset * along[row]).sum(axis=1) / np.maximum(length[row] ** 2, 1e-12), 0.0, 1.0)
-    close = np.linalg.norm(offset - fraction[:, None] * along[row], axis=1) <= max_distance_px
-    row, column = row[close], column[close]
-    if not len(row):
-        return np.empty((0, 2), np.int64)
-    similar = np.einsum("nd,nd->n", a.descriptors[rows[row]], b.descriptors[column])
-    best, others = np.full(len(rows), -1.0, np.float32), np.full(len(b), -1.0, np.float32)
-    np.maximum.at(best, row, similar)
-    np.maximum.at(others, column, similar)
-    chosen = np.full(len(rows), -1)
-    chosen[row[similar == best[row]]] = column[similar == best[row]]
+    similarity = a.descriptors[rows] @ b.descriptors.T
+    x, y = np.ascontiguousarray(b.pixels.T)
+    _drop_distant(similarity, segments[rows, 0], segments[rows, 1] - segments[rows, 0], x, y, max_distance_px)
+    chosen = similarity.argmax(axis=1)
+    best = similarity[np.arange(len(rows)), chosen]
+    mutual = np.flatnonzero((best >= min_cosine) & (best == similarity.max(axis=0)[chosen]))
     # Candidates at the same position are the same point with another orientation or scale.
-    elsewhere = np.linalg.norm(b.pixels[column] - b.pixels[chosen[row]], axis=1) > SAME_POSITION_PX
-    second = np.full(len(rows), -1.0, np.float32)
-    np.maximum.at(second, row[elsewhere], similar[elsewhere])
-    mutual = (chosen >= 0) & (best == others[chosen]) & (best >= min_cosine)
-    kept = np.flatnonzero(mutual & (1.0 - best <= ratio**2 * (1.0 - second)))
+    same = b.tree.query_ball_point(b.pixels[chosen[mutual]], SAME_POSITION_PX)
+    similarity[np.repeat(mutual, [len(index) for index in same]), np.concatenate([np.empty(0, np.int64), *same])] = -1.0
+    kept = mutual[1.0 - best[mutual] <= ratio**2 * (1.0 - similarity[mutual].max(axis=1))]
     return np.column_stack([rows[kept], chosen[kept]])
+
+
+@kernel
+def _drop_distant(
+    similarity: NDArray[Any], start: FloatArray, along: FloatArray, x: FloatArray, y: FloatArray, max_distance: float
+) -> None:
+    """Set the similarity (n, m) of points (m,), (m,) to -1 that are farther than this from segments (n, 2), (n, 2)."""
+    for i in range(len(start)):
+        squared = max(along[i, 0] ** 2 + along[i, 1] ** 2, 1e-12)
+        u, v = along[i, 0] / squared, along[i, 1] / squared
+        row = similarity[i]
+        for j in range(len(x)):
+            dx, dy = x[j] - start[i, 0], y[j] - start[i, 1]
+            fraction = min(max(dx * u + dy * v, 0.0), 1.0)
+            dx -= fraction * along[i, 0]
+            dy -= fraction * along[i, 1]
+            row[j] = row[j] if dx * dx + dy * dy <= max_distance * max_distance else np.float32(-1.0)
 
 
 def find_static_features(features: Features, earlier: Features, max_distance_px: float = STATIC_PX) -> BoolArray:

@@ -24,6 +24,10 @@ class BackgroundResult(Generic[T]):
         self.call = function, arguments
         self._future: Future[T] = _thread_pool(os.getpid()).submit(function, *arguments)
 
+    def is_known(self) -> bool:
+        """Return whether `value` need not wait."""
+        return self._future.done()
+
     def value(self) -> T:
         """Wait for the result and return it, or raise the function's exception."""
         return self._future.result()

@@ -32,7 +32,7 @@ from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.features import klt, static_background
 from sylpose.features.patches import find_unmoved, sample_patches
-from sylpose.features.sift import FULL_RESOLUTION, Features
+from sylpose.features.sift import FULL_RESOLUTION, Features, match_guided
 from sylpose.geometry.kernel_cache import (
     cache_folder,
     describe_compilation,
@@ -87,6 +87,7 @@ def compile_landmarks() -> None:
     camera, n = rig["cam_0"], len(points)
     pixels = camera.project(points)
     features = Features(pixels, camera.normalize(pixels), np.zeros((n, 128), np.float32))
+    match_guided(features, features, np.stack([pixels, pixels], axis=1), 1.0)
     known = initialize_landmarks(features, camera, RigidTransform.identity(), np.ones(n), np.full(n, 0.1))
     known = add_observations(known, features, camera, RigidTransform.identity())
     known.depth_error  # noqa: B018 computing the property compiles it

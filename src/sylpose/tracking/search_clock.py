@@ -6,27 +6,21 @@ next frames. Recordings are tracked without a clock, so that their results do no
 
 from __future__ import annotations
 
+import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import numpy as np
-
 # A search may delay a pose by so many frame intervals (derived: docs/live.md promises it).
 MAX_LATE_INTERVALS = 2.0
-# Number of frames over which the interval is measured (choice: two seconds).
-N_RECENT = 64
 # The clocks of cameras and of this computer drift apart by at most this share (derived: crystals are off by 100 ppm at most,
 # in opposite directions).
 MAX_DRIFT = 2e-4
-# Quantile of the recent differences between frame times that is the interval: dropped frames lengthen them (choice).
-INTERVAL_QUANTILE = 0.25
 # A search is not worth doing on fewer than this share of its pixels (choice).
 MIN_SHARE = 0.25
 # Where a search would make even a punctual frame late, its duration is forgotten at this rate per frame, as the machine
-# may have been busy, as over `N_RECENT` frames (derived).
-FORGETTING = 1.0 - 1.0 / N_RECENT
+# may have been busy (choice: by a factor of e in two seconds).
+FORGETTING = 1.0 - 1.0 / 64
 
 
 class SearchClock:
@@ -39,20 +33,20 @@ class SearchClock:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._seconds: dict[str, float] = {}
-        self._times: deque[float] = deque(maxlen=N_RECENT)
-        self._least_delay = self._allowance = np.inf
-        self._deadline = np.inf
+        self._time = 0.0
+        self._least_delay = self._allowance = self._deadline = math.inf
 
-    def begin_frame(self, frame_time: float) -> None:
-        """Begin the next frame, whose images are of this time, seconds."""
-        elapsed = frame_time - self._times[-1] if self._times else 0.0
-        self._times.append(frame_time)
-        self._least_delay = min(self._least_delay + MAX_DRIFT * abs(elapsed), self._clock() - frame_time)
-        intervals = np.diff(self._times)
-        if (intervals > 0).any():
-            interval = float(np.quantile(intervals[intervals > 0], INTERVAL_QUANTILE))
-            self._allowance = MAX_LATE_INTERVALS * interval
-            self._deadline = frame_time + self._least_delay + self._allowance
+    def begin_frame(self, frame_time: float, interval: float) -> None:
+        """Begin the next frame.
+
+        Args:
+            frame_time: of its images, seconds.
+            interval: between the cameras' frames, seconds; NaN: unknown, so that searches are not limited.
+        """
+        drift, self._time = MAX_DRIFT * abs(frame_time - self._time), frame_time
+        self._least_delay = min(self._least_delay + drift, self._clock() - frame_time)
+        self._allowance = math.inf if math.isnan(interval) else MAX_LATE_INTERVALS * interval
+        self._deadline = frame_time + self._least_delay + self._allowance
 
     def share(self, kind: str, min_share: float = MIN_SHARE) -> float:
         """Return the share of a search's pixels for which there is time: 0, or `min_share` to 1.
@@ -61,7 +55,7 @@ class SearchClock:
             kind: of the search; each has its own duration.
             min_share: smallest share worth searching; 1 for a search that cannot be shortened.
         """
-        if np.isinf(self._allowance):  # the interval is unknown
+        if math.isinf(self._allowance):
             return 1.0
         # Unmeasured, half of the time is assumed to be enough: else it would never be tried.
         seconds = self._seconds.get(kind, 0.5 * self._allowance)

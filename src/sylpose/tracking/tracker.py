@@ -279,7 +279,7 @@ class TrackerBase:
         """
         check_frame_set(frames, self._rig)
         if self._context.search_clock is not None:
-            self._context.search_clock.begin_frame(frames.time)
+            self._context.search_clock.begin_frame(frames.time, frames.interval)
         transferred, note = self.transferred_object, ""
         if transferred is not None and not self.next_number:
             note = transferred.note

@@ -64,14 +64,14 @@ def refine_window(context: Context, state: JointState) -> JointState:
 
     With few frames, or if the refinement diverges, it only updates the uncertainty of the last frame's pose.
 
-    Where the object shows little that is new, the refinement runs in the background and is applied some frames later
-    (`JointState.is_refinement_ready`).
+    Where the object shows little that is new, and live, the refinement runs in the background and is applied some frames
+    later (`JointState.is_refinement_ready`).
     """
     frames, last, before = _select_frames(state, context.options.max_window_frames), state.last, state.refinement.last
     if len(frames) < 2:
         return state
     numbers = [frame.number for frame in frames]
-    is_urgent = before is None or last.number - before.number < BACKGROUND_INTERVAL
+    is_urgent = before is None or (not context.is_live and last.number - before.number < BACKGROUND_INTERVAL)
     earlier = state.refinement.shared or (NewObservations(),) * len(context.rig)
     own_new = [
         _collect_new_observations(camera, numbers, earlier[camera.index], state.object.radius, context.options)

@@ -345,7 +345,8 @@ class _FolderFollower:
     def _frame_set(self, pending: _PendingSet) -> FrameSet:
         n = len(self._folders)
         images = tuple(pending.images.get(folder.camera.name) for folder in self._folders)
-        return FrameSet(self._index, self._index / (self._recording.rate or 1.0), (None,) * n, images, (None,) * n)
+        interval, unknown = 1.0 / (self._recording.rate or 1.0), (None,) * n
+        return FrameSet(self._index, self._index * interval, unknown, images, unknown, interval=interval)
 
 
 def _file_state(file: Path) -> tuple[int, int]:

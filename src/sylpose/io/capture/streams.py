@@ -335,6 +335,7 @@ def read_streams(
                     tuple(None if t is None else t - start_time for t in times),
                     tuple(None if shot is None else shot.pixels() for shot in shots),
                     (None,) * len(shots),
+                    interval=indices.step * hub.assembler.interval,
                 )
     finally:
         stopped.set()

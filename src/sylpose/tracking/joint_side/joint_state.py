@@ -760,10 +760,15 @@ class JointState:
         is_new = np.linalg.norm(change[:3]) > options.min_refinement_rotation
         return since >= MAX_INTERVAL or (since >= MIN_INTERVAL and bool(is_new))
 
-    def is_refinement_ready(self, number: int) -> bool:
-        """Return whether a background refinement is to be applied in the frame with this number."""
+    def is_refinement_ready(self, number: int, *, is_live: bool) -> bool:
+        """Return whether a background refinement is to be applied in the frame with this number.
+
+        Live it is as soon as it is known, otherwise always in the same frame.
+        """
         pending = self.refinement.pending
-        return pending is not None and number >= pending.number + RESULT_DELAY
+        if pending is None:
+            return False
+        return pending.result.is_known() if is_live else number >= pending.number + RESULT_DELAY
 
 
 def is_mostly_moving(agreements: Agreements) -> bool:
