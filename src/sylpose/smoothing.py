@@ -28,6 +28,7 @@ from sylpose.bundle_adjustment.calibration_refinement import (
 from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes, correlate_errors
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.blas_threads import limit_blas_threads
 from sylpose.geometry.matrices import enlarge_covariance
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
 from sylpose.relative_pose.camera_evidence import pool_f_ratios
@@ -145,6 +146,7 @@ def smooth(frames: Iterable[TrackedFrame], rig: Rig) -> Trajectory:
     return Trajectory(result.poses, rig.names, rig.unit if n > 1 else INITIAL_DISTANCES)
 
 
+@limit_blas_threads()
 def smooth_tracks(
     frames: Sequence[Track],
     rig: Rig,

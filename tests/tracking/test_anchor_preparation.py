@@ -94,8 +94,8 @@ def test_live_poses_do_not_wait_for_refinements(clip: Clip, monkeypatch: pytest.
         pending.result.value()
         (after,) = track_states(tracker, clip.frames()[9:10])[1]
     assert after.refinement.pending is not pending
-    covariances = [state.frames.by_number[pending.number].covariance for state in (states[-1], after)]
-    assert not np.allclose(*covariances, rtol=1e-3)
+    covariance, refined = (state.frames.by_number[pending.number].covariance for state in (states[-1], after))
+    assert not np.allclose(covariance, refined, rtol=1e-3)
 
 
 def test_background_work_keeps_accuracy(

@@ -29,6 +29,7 @@ from sylpose.bundle_adjustment.camera_parameters import compute_depth_basis, def
 from sylpose.bundle_adjustment.kernels import DEPTH, TIME_OFFSET, SortedObservations
 from sylpose.bundle_adjustment.problem import LATERAL_SD_RADII, Fit, FitSummary, Problem, State
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.blas_threads import limit_blas_threads
 from sylpose.geometry.validation import check_finite
 from sylpose.rig import Rig
 from sylpose.status import Status
@@ -210,6 +211,7 @@ class _Setup(NamedTuple):
     is_solvable: bool
 
 
+@limit_blas_threads()
 def bundle_adjust(
     rig: Rig,
     observations: Observations,

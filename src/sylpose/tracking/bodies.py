@@ -22,6 +22,7 @@ import numpy as np
 from sylpose.features.sift import Features, match_features, reduce_image
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.blas_threads import limit_blas_threads
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.methods import METHODS
 from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
@@ -247,7 +248,10 @@ def open_search(
     executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
     try:
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-        yield SearchContext(rig, cameras, executor, METHODS[0], True, True, offsets, seed, options or TrackingOptions())
+        with limit_blas_threads():
+            yield SearchContext(
+                rig, cameras, executor, METHODS[0], True, True, offsets, seed, options or TrackingOptions()
+            )
     finally:
         executor.close()
 
