@@ -215,7 +215,7 @@ def main() -> None:
             assert refined.correction is not None
             solutions = ((given, perturbed), (refined, refined.correction.rig))
             row = [
-                score_calibration(found.world_from_object, found.covariance, now, rig, true) for found, now in solutions
+                score_calibration(found.corrected_poses, found.covariance, now, rig, true) for found, now in solutions
             ]
             sd = np.rad2deg(np.sqrt((refined.correction.sd[:, :3] ** 2).sum(axis=1).mean()))
             rows.append([*np.concatenate(row), sd, given.calibration_scale])

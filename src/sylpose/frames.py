@@ -62,7 +62,11 @@ class FrameSet:
 
     @classmethod
     def of(
-        cls, images: Sequence[Image | None], time: float, masks: Sequence[BoolArray | None] | None = None
+        cls,
+        images: Sequence[Image | None],
+        time: float,
+        masks: Sequence[BoolArray | None] | None = None,
+        interval: float = math.nan,
     ) -> FrameSet:
         """Make a frame set of images in memory, taken at one time.
 
@@ -70,12 +74,15 @@ class FrameSet:
             images: per camera, in the rig's order: (h, w, 3) BGR or (h, w), uint8, as recorded; None without an image.
             time: seconds.
             masks: per camera: (h, w) bool, True on the object, or None; None without any masks.
+            interval: seconds between the frames of live cameras, which limits the time of a search; NaN: no limit.
 
         Raises:
             TypeError, ValueError: naming the argument: not a sequence of images or masks, or not one mask for each image;
-                a time that is not finite.
+                a time that is not finite, an interval that is not positive.
         """
         check_number(time, "time", maximum=np.inf)
+        if not np.isnan(interval):
+            check_number(interval, "interval", above=0.0)
         description = "list with one image for each camera"
         if getattr(images, "ndim", 4) < 4:  # an image, whose rows would count as images
             raise TypeError(f"images must be a {description}, got {format_value(images)}")
@@ -86,7 +93,7 @@ class FrameSet:
             for k, array in enumerate(arrays):
                 if array is not None and not (isinstance(array, np.ndarray) and array.dtype == dtype):
                     raise ValueError(f"{name}[{k}] must be an array of {dtype.__name__}, got {format_value(array)}")
-        return cls(UNNUMBERED, float(time), (None,) * n, tuple(of_images), tuple(of_masks))
+        return cls(UNNUMBERED, float(time), (None,) * n, tuple(of_images), tuple(of_masks), interval=float(interval))
 
     def for_object(self, name: str) -> FrameSet:
         """Return these images with the masks of one object.

@@ -331,12 +331,12 @@ def _measure_unexplained_changes(frames: Sequence[Track], used: Sequence[int], r
     Others show a wrong model (of a body that is not rigid, tracker and refinement may follow different parts) or a biased
     tracker.
     """
-    out = np.zeros((len(used), 6, 6))
+    out, corrected = np.zeros((len(used), 6, 6)), result.corrected_poses
     for i, k in enumerate(used[1:], start=1):  # the first one is the reference
         track, pose = frames[k], frames[k].pose
         if pose.world_from_object is None or not pose.is_measured or track.is_fixed or not result.connected[i]:
             continue
-        change = compute_pose_change(pose.world_from_object, result.world_from_object[i])
+        change = compute_pose_change(pose.world_from_object, corrected[i])
         if np.isfinite(pose.covariance).all() and not is_change_explained(change, pose.covariance, track.radius):
             out[i] = np.outer(change, change)
     return out

@@ -188,3 +188,14 @@ def test_effect_of_calibration_errors_is_that_of_all_frames() -> None:
     np.testing.assert_allclose(found.calibration_change[:, :3], of_all.calibration_change[:, :3], atol=np.deg2rad(0.05))
     apart = found.corrected_poses.rotation * of_all.corrected_poses.rotation.inv()
     assert np.degrees(apart.magnitude().max()) < 0.05
+    key = 71
+    # A key frame with landmarks of its own is not connected, and not corrected: its neighbors are.
+    alone = seen.frame == key
+    landmark = np.where(alone, seen.landmark + seen.landmark.max() + 1, seen.landmark)
+    found = bundle_adjust_by_keyframes(reported, replace(seen, landmark=landmark), shake(poses), RADIUS, options)
+    near = [k for k in range(key - 3, key + 4) if found.connected[k]]
+    assert len(near) > 3
+    assert not found.connected[key]
+    np.testing.assert_allclose(
+        found.calibration_change[near, :3], of_all.calibration_change[near, :3], atol=np.deg2rad(0.05)
+    )

@@ -35,6 +35,24 @@ def test_independent_matches_are_no_copies(n: int, width: float) -> None:
         assert (find_first_copies(x, y, TOLERANCE) == np.arange(n)).all()
 
 
+@pytest.mark.parametrize("n", [50, 100, 200, 400])
+@pytest.mark.parametrize("shape", ["line", "circle", "box"])
+def test_independent_matches_on_contours_are_no_copies(n: int, shape: str) -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        t = rng.uniform(0.0, 1.0, n)
+        if shape == "line":
+            x = np.column_stack([0.4 * t, 0.1 * t])
+        elif shape == "circle":
+            x = 0.07 * np.column_stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)])
+        else:  # edges
+            steps = rng.integers(0, 4, n) / 20.0
+            x = np.where(rng.random((n, 1)) < 0.5, np.column_stack([0.2 * t, steps]), np.column_stack([steps, 0.2 * t]))
+        x += 0.3e-3 * rng.standard_normal((n, 2))
+        y = 1.05 * x + 0.01 + 0.3e-3 * rng.standard_normal((n, 2))
+        assert (find_first_copies(x, y, TOLERANCE) == np.arange(n)).all()
+
+
 @pytest.mark.parametrize(("n", "times"), [(40, 2), (40, 5), (1000, 2)])
 def test_near_copies_are_found(n: int, times: int) -> None:
     rng = np.random.default_rng(n + times)

@@ -193,7 +193,10 @@ def _spread_result(
     weights, residuals = np.zeros(len(observations)), np.zeros((len(observations), 2))
     weights[used], residuals[used] = result.weights, result.residuals
     correction = result.world_from_object * world_from_object[keys].inv()
-    change = np.column_stack([np.interp(numbers, keys, column) for column in result.calibration_change.T])
+    known, change = keys[result.connected], np.zeros((len(is_key), 6))
+    if len(known):
+        columns = result.calibration_change[result.connected].T
+        change = np.column_stack([np.interp(numbers, known, column) for column in columns])
     return replace(
         result,
         world_from_object=correction[index] * world_from_object,

@@ -274,6 +274,8 @@ DENSE_FRAMES, DENSE_FILL_RATIO = 100, 0.25
 SCALE_LOG_SD, FREE_SCALE_LOG_SD = 1.0, 0.5
 # Smallest relative enlargement of the diagonal, against rounding (choice).
 RIDGE = 1e-12
+# Information on calibration errors less than this, relative to the largest, is rounding (derived).
+KNOWN_RATIO = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,7 +465,10 @@ def estimate_calibration(solver: Solver, system: System, excess: float) -> Calib
     cross = np.linalg.solve(inner, information[np.ix_(other, own)]).T
     marginal = information[np.ix_(own, own)] - cross @ information[np.ix_(other, own)]
     values, vectors = np.linalg.eigh(0.5 * (marginal + marginal.T))
-    values, projections = np.maximum(values, 1e-12), vectors.T @ (slope[own] - cross @ slope[other])
+    projections = vectors.T @ (slope[own] - cross @ slope[other])
+    # What moves all cameras alike, or cameras without observations, shows nothing.
+    is_known = values > KNOWN_RATIO * values.max()
+    values, projections = values[is_known], projections[is_known]
     is_held = bool((own & parameters.fixed).any())
     normal, log_sd = np.linspace(-6.0, 6.0, 121), SCALE_LOG_SD if is_held else FREE_SCALE_LOG_SD
     scales = np.exp(log_sd * normal - log_sd**2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -102,26 +103,29 @@ def find_first_copies(x: FloatArray, y: FloatArray, tolerance: float) -> IntArra
 
     Copies are no independent measurements: one keypoint with several orientations or at several scales, a file that was
     read twice. They would make an estimator overconfident, and one mismatch a majority. Equal matches are copies; others
-    that are nearer than the tolerance in both images are, if there are more of them than by chance: of independent
-    matches a quarter of the pairs within twice the tolerance.
+    that are nearer than the tolerance in both images are, if there are more of them than by chance. Of independent matches
+    the pairs within some distance grow with its square, or on contours with itself: by as much as at twice the distance.
     """
     n, rows, inverse = index_distinct_rows(x, y)
     rows = rows[:n]
     x, y = x[rows], y[rows]
     wider = 1 if n > 0 and np.ptp(x[:, 1]) > np.ptp(x[:, 0]) else 0
-    along, n_near, n_around = x[:, wider].copy(), 0, 0
+    along, n_near, n_around, n_beyond = x[:, wider].copy(), 0, 0, 0
     order, place, first = np.argsort(along), np.empty(n, np.int64), np.arange(n)
     for k in range(n):
         place[order[k]] = k
         for m in range(k + 1, n):
             i, j = order[k], order[m]
-            if along[j] - along[i] > 2.0 * tolerance:
+            if along[j] - along[i] > 4.0 * tolerance:
                 break
             distance = _measure_distance(x, y, i, j)
             n_near += distance <= tolerance
             n_around += distance <= 2.0 * tolerance
-    excess = n_near - 0.25 * n_around
-    if excess > 0.0 and excess * excess > MAX_CHANCE_SQUARE * 0.25 * 0.75 * n_around:
+            n_beyond += distance <= 4.0 * tolerance
+    inner, outer = n_around - n_near + 1, n_beyond - n_around + 1
+    share = min(inner / outer * (1.0 + sqrt(MAX_CHANCE_SQUARE * (1.0 / inner + 1.0 / outer))), 0.5)
+    excess = n_near - share * n_around
+    if excess > 0.0 and excess * excess > MAX_CHANCE_SQUARE * share * (1.0 - share) * n_around:
         for i in range(n):
             for step in (-1, 1):
                 m = place[i] + step

@@ -334,8 +334,9 @@ def inflate(information: FloatArray, columns: FloatArray) -> FloatArray:
 N_PARTS = 4
 # The scatter of the weighted errors of independent matches, over their information (derived).
 INDEPENDENT_SCATTER = bisquare_noise_response(CUTOFF).score / bisquare_noise_response(CUTOFF).weight
-# Least degrees of freedom of a scatter (derived: that of a single camera has none, up to rounding; of two 0.8).
-MIN_SCATTER_FREEDOM = 1e-6
+# Least degrees of freedom of a scatter (choice: that of two cameras has 0.8; with 1, twice as many pairs with smooth errors
+# are wrong and sure).
+MIN_SCATTER_FREEDOM = 0.5
 
 
 @kernel

@@ -165,7 +165,8 @@ def _update_depth(
         return state, initial_motion
     if is_ambiguous:
         state = replace(state, ambiguity=RIVAL_REASON)
-    state = state.reset_to_first_frame(radius, initial_motion.estimate_pose(first.world_from_object, radius).covariance)
+    pose = initial_motion.estimate_pose(first.world_from_object, radius)
+    state = state.reset_to_first_frame(radius, pose.covariance if context.refines_window else None)
     for camera in context.cameras:
         model = replace(state.object, points=surface)
         camera.table.update(camera.reinitialize_landmarks(state.frames.first, camera.camera, model))

@@ -237,11 +237,6 @@ class Context:
         """Whether the cameras contradict each other in most of what was searched: then the rig is wrong in all frames."""
         return self.f_ratio > self.options.max_pooled_f_ratio
 
-    @property
-    def is_live(self) -> bool:
-        """Whether poses are not to be late; then results depend on time."""
-        return self.search_clock is not None
-
     def share_of_search(self, kind: str) -> float:
         """Return the share of a search's pixels for which there is time. See `SearchClock.share`."""
         return 1.0 if self.search_clock is None else self.search_clock.share(kind)

@@ -220,7 +220,9 @@ def _initialize_from_motion(
     ambiguity = AMBIGUITY_REASON if is_ambiguous else ""
     state = JointState(
         _create_model(context, first_motion, first_pose, end_pose),
-        refinement=Refinement(first_motion.estimate_pose(first_pose, first_motion.radius).covariance),
+        refinement=Refinement(
+            first_motion.estimate_pose(first_pose, first_motion.radius).covariance if context.refines_window else None
+        ),
         ambiguity=ambiguity,
     )
     frame = replace(first, regions=context.project_regions(state, first_pose))

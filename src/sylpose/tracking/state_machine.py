@@ -41,7 +41,7 @@ def process_frame(
     for camera in context.cameras:
         camera.begin_frame()
     # Results of background work.
-    if state.is_refinement_ready(number, is_live=context.is_live):
+    if state.is_refinement_ready(number, is_live=context.search_clock is not None):
         state = apply_refinement(context, state)
     if state.frames.is_next_anchor_due(number):
         state = join_anchor(context, state)

@@ -14,7 +14,6 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import UNNUMBERED, Box, FrameSet, check_frame_set
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.blas_threads import limit_blas_threads
 from sylpose.geometry.validation import MAX_TIME_OFFSET, check_integer, check_number, check_type, format_value
 from sylpose.input_limits import to_one_line
 from sylpose.methods import FEATURES, METHODS, resolve_features
@@ -271,7 +270,6 @@ class TrackerBase:
         self._buffered: Sequence[BufferedFrame] = []
         self.next_number = 0  # of the next frame
 
-    @limit_blas_threads()
     def step(self, frames: FrameSet) -> list[TrackedFrame]:
         """Process the next frame.
 

@@ -71,7 +71,7 @@ def refine_window(context: Context, state: JointState) -> JointState:
     if len(frames) < 2:
         return state
     numbers = [frame.number for frame in frames]
-    is_urgent = before is None or (not context.is_live and last.number - before.number < BACKGROUND_INTERVAL)
+    is_urgent = before is None or (context.search_clock is None and last.number - before.number < BACKGROUND_INTERVAL)
     earlier = state.refinement.shared or (NewObservations(),) * len(context.rig)
     own_new = [
         _collect_new_observations(camera, numbers, earlier[camera.index], state.object.radius, context.options)

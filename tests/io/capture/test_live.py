@@ -508,6 +508,7 @@ def test_growing_folder_is_read_while_it_grows(folder: Path, lossless: bool) -> 
     assert [s.index for s in sets] == list(range(25))
     assert [painted_numbers(s) for s in sets] == [[k, k] for k in range(25)]
     assert sets[10].time == pytest.approx(0.2)
+    assert sets[10].interval == pytest.approx(0.02)
     assert not any(session.dropped.values())
     assert not any(session.missed.values())
 

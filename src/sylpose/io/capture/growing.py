@@ -280,7 +280,7 @@ class _FolderFollower:
                     self._advance(pending)
                     has_started = has_started or bool(pending.images)
                     if pending.images:
-                        yield self._frame_set(pending)
+                        yield self._frame_set(pending, indices.step)
         if self._index < 0 and not stopped.is_set():
             raise OSError(f"{self._recording.path}: no camera's folder got any image within {self._recording.idle:g} s")
 
@@ -342,11 +342,11 @@ class _FolderFollower:
                 folder.missed_sets += 1
                 self._counter.missed[folder.camera.name] += 1
 
-    def _frame_set(self, pending: _PendingSet) -> FrameSet:
+    def _frame_set(self, pending: _PendingSet, every: int) -> FrameSet:
         n = len(self._folders)
         images = tuple(pending.images.get(folder.camera.name) for folder in self._folders)
         interval, unknown = 1.0 / (self._recording.rate or 1.0), (None,) * n
-        return FrameSet(self._index, self._index * interval, unknown, images, unknown, interval=interval)
+        return FrameSet(self._index, self._index * interval, unknown, images, unknown, interval=every * interval)
 
 
 def _file_state(file: Path) -> tuple[int, int]:

@@ -552,7 +552,7 @@ class Refinement:
     Attributes:
         covariance: (6, 6) covariance of (w, d) of the last jointly refined frame; before any, of the first motion that
             determined depth. It bounds the covariance of later frames from below, since they use the same landmarks. None
-            while depth is guessed.
+            while depth is guessed, and without refinements.
         last: the last frame at the most recent joint refinement, as it was then; None before.
         pending: the joint refinement in progress.
         shared: per camera, the observations it has shared of the known frames. Empty before the first refinement; after
@@ -721,13 +721,14 @@ class JointState:
         )
         return replace(self, motion=motion, frames=replace(self.frames, next_anchor_number=None)), covariance
 
-    def reset_to_first_frame(self, radius: float, covariance: FloatArray) -> JointState:
+    def reset_to_first_frame(self, radius: float, covariance: FloatArray | None) -> JointState:
         """Return the state once the object's size is known from its motion.
 
         Landmark depths guessed from boxes are discarded, and with them all poses but the first frame's.
 
         Args:
-            covariance: (6, 6) of (w, d) of the pose by the motion that determines depth from now on.
+            covariance: (6, 6) of (w, d) of the pose by the motion that determines depth until a refinement; None without
+                refinements.
         """
         first, anchor = replace(self.frames.first, landmark_age=1.0), self.frames.anchor
         keeps_anchor = anchor is not None and anchor.frame.number == first.number
