@@ -423,8 +423,8 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, m
         others = [other.motion for other in windows[number].bodies if other is not body]
         n = max((count_rival(context, body.motion, other) for other in others), default=0)
         n_shared, n_rivals = n_shared + (body.motion.n_inliers if n else 0), n_rivals + n
-    # One that moves at other times, and that neither features nor place link with it.
-    n_later = max((_count_matches(other) for other in moving if not set(chain) & set(other)), default=0)
+    # One that neither features nor place link with it, at the times when it does not move.
+    n_later = max((_count_significant(other, chain) for other in moving if other is not chain), default=0)
     sizes = {k: body.motion.n_inliers * body.motion.is_significant for k, body in chain.items()}
     clear = {k: sizes[k] for k, body in chain.items() if body.is_clear(context.options)} or sizes
     # While a body comes in, little of it is visible.
@@ -447,6 +447,12 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, m
 
 def _count_matches(chain: Chain) -> int:
     return sum(body.motion.n_inliers for body in chain.values())
+
+
+def _count_significant(chain: Chain, without: Chain) -> int:
+    """Count the matches of significant motions in windows that the other chain is not in."""
+    own = (body.motion for number, body in chain.items() if number not in without)
+    return sum(motion.n_inliers for motion in own if motion.is_significant)
 
 
 def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowBody) -> tuple[Frame, CameraPairs]:

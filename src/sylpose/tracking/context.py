@@ -179,7 +179,7 @@ class Candidate:
         displacements_px: (C,) their median displacement until the second one, pixels; NaN without any.
         n_matches: number of its matches, in all cameras and windows.
         rival_ratio: matches of the largest other body in the windows in which both move, as a share of its own there.
-        later_ratio: matches of the largest body that moves in other windows only, as a share of its own.
+        later_ratio: matches of the largest other body in windows in which it does not move, as a share of its own.
         f_ratio: by which the cameras contradict each other, pooled over the recording; NaN if unknown.
         is_chosen: whether the user knows that it is the object.
     """
