@@ -25,7 +25,7 @@ from sylpose import TrackingOptions, track
 from sylpose.frames import Box
 from sylpose.simulate import compute_demo_truth, make_demo_scene
 
-# A right rig, late objects, low light, a wrong rig, other bodies, faint and fast objects, and frames without the object.
+# A right rig, a late object, compression, a wrong rig, another body, faint and fast objects, and frames without the object.
 EACH = (
     "hand-board",
     "late-third",

@@ -302,11 +302,11 @@ def _apply_result(
     has_common[0] = False  # the reference
     for i in np.flatnonzero(has_common).tolist():
         covariance[i] = enlarge_covariance(covariance[i], share * tracked_covariance[i])
+    corrected = result.corrected_poses
     if not estimates_rig:  # its corrections move poses
-        covariance = covariance + _measure_unexplained_changes(frames, used, result)
+        covariance = covariance + _measure_unexplained_changes(frames, used, result, corrected)
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
-    corrected = result.corrected_poses
     for i, k in enumerate(used[1:], start=1):
         if is_refined[k]:
             observability = Observability.NO_TRANSLATION_SCALE if result.rests_on_prior[i] else Observability.ALL
@@ -325,13 +325,15 @@ def _apply_result(
     return _fill_gaps(poses, [frame.pose for frame in frames], is_refined, is_lost_frame)
 
 
-def _measure_unexplained_changes(frames: Sequence[Track], used: Sequence[int], result: BundleResult) -> FloatArray:
+def _measure_unexplained_changes(
+    frames: Sequence[Track], used: Sequence[int], result: BundleResult, corrected: RigidTransform
+) -> FloatArray:
     """Return the squared changes (n, 6, 6) of poses by the refinement; zero if their uncertainty as tracked explains them.
 
     Others show a wrong model (of a body that is not rigid, tracker and refinement may follow different parts) or a biased
     tracker.
     """
-    out, corrected = np.zeros((len(used), 6, 6)), result.corrected_poses
+    out = np.zeros((len(used), 6, 6))
     for i, k in enumerate(used[1:], start=1):  # the first one is the reference
         track, pose = frames[k], frames[k].pose
         if pose.world_from_object is None or not pose.is_measured or track.is_fixed or not result.connected[i]:

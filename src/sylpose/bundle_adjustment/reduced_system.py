@@ -472,6 +472,7 @@ def estimate_calibration(solver: Solver, system: System, excess: float) -> Calib
     is_held = bool((own & parameters.fixed).any())
     normal, log_sd = np.linspace(-6.0, 6.0, 121), SCALE_LOG_SD if is_held else FREE_SCALE_LOG_SD
     scales = np.exp(log_sd * normal - log_sd**2)
+    # Up to a thousand times as much, in steps of the root of two; only where the errors are held.
     excesses = excess * 2.0 ** np.arange(0.0, 10.5 if is_held else 0.5, 0.5)
     variance = (scales[:, None, None] / parameters.scale) ** 2 + excesses[:, None] / values
     cost = (np.log(variance) + (projections / values) ** 2 / variance).sum(axis=2) + normal[:, None] ** 2

@@ -103,8 +103,9 @@ def find_first_copies(x: FloatArray, y: FloatArray, tolerance: float) -> IntArra
 
     Copies are no independent measurements: one keypoint with several orientations or at several scales, a file that was
     read twice. They would make an estimator overconfident, and one mismatch a majority. Equal matches are copies; others
-    that are nearer than the tolerance in both images are, if there are more of them than by chance. Of independent matches
-    the pairs within some distance grow with its square, or on contours with itself: by as much as at twice the distance.
+    that are nearer than the tolerance in both images are, if there are more of them than by chance: of independent matches,
+    the number of pairs grows with the square of the distance, along contours with the distance itself. Pairs between one and
+    four times the tolerance show which.
     """
     n, rows, inverse = index_distinct_rows(x, y)
     rows = rows[:n]

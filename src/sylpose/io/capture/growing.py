@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import threading
@@ -345,8 +346,9 @@ class _FolderFollower:
     def _frame_set(self, pending: _PendingSet, every: int) -> FrameSet:
         n = len(self._folders)
         images = tuple(pending.images.get(folder.camera.name) for folder in self._folders)
-        interval, unknown = 1.0 / (self._recording.rate or 1.0), (None,) * n
-        return FrameSet(self._index, self._index * interval, unknown, images, unknown, interval=every * interval)
+        rate, unknown = self._recording.rate, (None,) * n
+        interval = every / rate if rate else math.nan
+        return FrameSet(self._index, self._index / (rate or 1.0), unknown, images, unknown, interval=interval)
 
 
 def _file_state(file: Path) -> tuple[int, int]:
